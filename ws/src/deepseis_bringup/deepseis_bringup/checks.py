@@ -1,0 +1,78 @@
+"""The checks and tests of the project, as developers and CI run them."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import typer
+
+PACKAGES = (
+    "deepseis_core",
+    "deepseis_frontend",
+    "deepseis_tracking",
+    "deepseis_pvt",
+    "deepseis_ins",
+    "deepseis_sim",
+    "deepseis_bringup",
+)
+
+
+def project_root() -> Path:
+    """Return the checkout that this module was loaded from."""
+    for folder in Path(__file__).resolve().parents:
+        if (folder / "pyproject.toml").exists():
+            return folder
+    raise FileNotFoundError("the checks need the checkout: no pyproject.toml above " + __file__)
+
+
+def steps() -> dict[str, list[str]]:
+    """Return the checks, quickest first."""
+    mypy = ["mypy", *(argument for package in PACKAGES for argument in ("-p", package))]
+    return {
+        "ruff check": ["ruff", "check", "."],
+        "ruff format": ["ruff", "format", "--check", "."],
+        "lint-imports": ["lint-imports", "--no-timings"],
+        "mypy": mypy,
+    }
+
+
+def environment() -> dict[str, str]:
+    """Return the environment of the tools: plain text where a machine reads."""
+    variables = dict(os.environ)
+    if variables.get("CI", "").lower() not in ("", "0", "false"):
+        variables.pop("FORCE_COLOR", None)
+        variables |= {"NO_COLOR": "1", "PY_COLORS": "0", "TERM": "dumb"}
+    return variables
+
+
+def check() -> bool:
+    """Run every check, show each with its time, and tell whether all passed."""
+    passed = True
+    for name, command in steps().items():
+        started = time.monotonic()
+        result = subprocess.run(
+            [str(Path(sys.executable).parent / command[0]), *command[1:]],
+            cwd=project_root(),
+            env=environment(),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        failed = result.returncode != 0
+        typer.echo(f"{name:<14}{'FAILED' if failed else 'ok':<8}{time.monotonic() - started:.1f} s")
+        if failed:
+            typer.echo(result.stdout.rstrip())
+        passed = passed and not failed
+    return passed
+
+
+def test(arguments: list[str], *, full: bool, skip_check: bool) -> int:
+    """Run the checks, then pytest; return the exit status."""
+    passed = skip_check or check()
+    selection = [] if full else ["-m", "not slow"]
+    command = [sys.executable, "-m", "pytest", *selection, *arguments]
+    sys.stdout.flush()
+    status = subprocess.run(command, cwd=project_root(), env=environment()).returncode
+    return status or (0 if passed else 1)

@@ -1,0 +1,60 @@
+"""The deepseis command: declares what can be run; each command imports what it needs."""
+
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    help="A GNSS/INS seismograph station: ground displacement, velocity and acceleration through strong earthquakes.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+
+PASS_ON = {"ignore_unknown_options": True, "allow_extra_args": True}
+NODE_ARGUMENTS = {"ignore_unknown_options": True, "allow_interspersed_args": False}
+
+
+@app.command()
+def check() -> None:
+    """Check style, types and the direction of imports."""
+    from deepseis_bringup import checks
+
+    raise typer.Exit(0 if checks.check() else 1)
+
+
+@app.command(context_settings=PASS_ON)
+def test(
+    context: typer.Context,
+    full: Annotated[bool, typer.Option("--full", help="Run the slow tests too.")] = False,
+    skip_check: Annotated[bool, typer.Option("--no-check", help="Run the tests alone.")] = False,
+) -> None:
+    """Run the checks, then all tests; further arguments go to pytest."""
+    from deepseis_bringup import checks
+
+    raise typer.Exit(checks.test(context.args, full=full, skip_check=skip_check))
+
+
+@app.command(context_settings=NODE_ARGUMENTS)
+def run(
+    package: Annotated[str, typer.Argument(help="Package of the node, such as deepseis_tracking.")],
+    node: Annotated[str, typer.Argument(help="Name of the node, such as tracker.")],
+    arguments: Annotated[list[str] | None, typer.Argument(help="Its arguments, such as --ros-args -p name:=1.")] = None,
+) -> None:
+    """Run one node, as `ros2 run` does."""
+    from deepseis_bringup import executables
+
+    try:
+        executables.become(package, node, arguments or [])
+    except executables.UnknownExecutableError as error:
+        typer.echo(f"deepseis: {error}", err=True)
+        raise typer.Exit(2) from None
+
+
+def main() -> None:
+    """Run the command."""
+    app(prog_name="deepseis")
+
+
+if __name__ == "__main__":
+    main()

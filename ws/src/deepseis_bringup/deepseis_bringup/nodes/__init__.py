@@ -1,0 +1,1 @@
+"""The nodes of deepseis_bringup: thin shells around its algorithms."""

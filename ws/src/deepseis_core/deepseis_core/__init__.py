@@ -1,0 +1,1 @@
+"""What every DeepSeis package shares; imports no sibling."""

@@ -1,0 +1,45 @@
+"""Settings declared once, beside the algorithm that uses them, without ROS."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+
+def setting(
+    default: Any,
+    description: str,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """Declare one field of a frozen settings dataclass.
+
+    Parameters
+    ----------
+    default : Any
+        Value used where nothing overrides it; its type is the setting's type.
+    description : str
+        What it is, with its unit in square brackets.
+    low, high : float, optional
+        Inclusive limits of a number.
+    choices : tuple of str, optional
+        The values a text may take.
+    """
+    metadata = {"description": description, "low": low, "high": high, "choices": choices}
+    if isinstance(default, list):
+        return dataclasses.field(default_factory=lambda: list(default), metadata=metadata)
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+def check(config: Any) -> None:
+    """Raise ``ValueError`` naming the first field of a settings dataclass outside its limits."""
+    for item in dataclasses.fields(config):
+        value = getattr(config, item.name)
+        low, high = item.metadata.get("low"), item.metadata.get("high")
+        choices = item.metadata.get("choices") or ()
+        if (low is not None and value < low) or (high is not None and value > high):
+            raise ValueError(f"{item.name} = {value} is outside [{low}, {high}]")
+        if choices and value not in choices:
+            raise ValueError(f"{item.name} = {value!r} is not one of {', '.join(choices)}")

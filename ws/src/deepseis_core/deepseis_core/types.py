@@ -1,0 +1,244 @@
+"""Values that cross package borders. Frozen; field names are those of the messages.
+
+Arrays within one value are aligned on their first axis. Sample indices count IF samples from
+the start of the recording and are the station's clock (docs/conventions.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum, IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+IntArray = NDArray[np.int64]
+
+
+class TrackingMode(IntEnum):
+    """What a channel is doing."""
+
+    IDLE = 0
+    PULL_IN = 1
+    BIT_SYNC = 2
+    TRACK = 3
+    TRACK_AIDED = 4
+
+
+class TrackingFlag(IntFlag):
+    """What is known about one integration."""
+
+    CODE_LOCK = 1
+    PHASE_LOCK = 2
+    BIT_SYNC = 4
+    POLARITY_KNOWN = 8
+    SLIP = 16
+    HALF_CYCLE = 32
+    AID_MISSED = 64
+    AID_DIVERGED = 128
+    GAP = 256
+
+
+class Lli(IntFlag):
+    """RINEX loss-of-lock indicator bits."""
+
+    SLIP = 1
+    HALF_CYCLE = 2
+
+
+class PvtStatus(IntEnum):
+    """Kind of position solution."""
+
+    NONE = 0
+    SINGLE = 1
+    FLOAT = 2
+    FIX = 3
+
+
+@dataclass(frozen=True)
+class IfBlock:
+    """Packed IF samples as the front end gave them."""
+
+    sample_index: int
+    sample_count: int
+    sample_rate_hz: float
+    intermediate_frequency_hz: float
+    format: str
+    data: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class AcquisitionResult:
+    """One satellite found, or searched for in vain (``detected`` False)."""
+
+    satellite: str
+    detected: bool
+    sample_index: int
+    effective_sample_index: int
+    code_phase_chips: float
+    carrier_doppler_hz: float
+    doppler_sd_hz: float
+    statistic: float
+    threshold: float
+    false_alarm_probability: float
+    cn0_dbhz: float
+
+
+@dataclass(frozen=True)
+class TrackingEpochs:
+    """Integrations of one satellite that ended within one IF block.
+
+    The carrier NCO, ``tau`` seconds after an integration's first sample::
+
+        phase = carrier_phase_cycles + doppler*tau + doppler_rate*tau**2/2 + doppler_accel*tau**3/3
+
+    ``transmit_ms`` is the GPS millisecond of week at which the code period holding the first
+    sample was transmitted (-1 unknown), ``code_phase_chips`` the replica's phase in that period.
+    """
+
+    satellite: str
+    block_sample_index: int
+    valid_through: int
+    ephemeris_count: int
+    mode: int
+    sample_index: IntArray
+    sample_count: NDArray[np.int32]
+    transmit_ms: IntArray
+    code_phase_chips: FloatArray
+    code_rate_cps: FloatArray
+    carrier_phase_cycles: FloatArray
+    carrier_doppler_hz: FloatArray
+    carrier_doppler_rate: FloatArray
+    carrier_doppler_accel: FloatArray
+    early_i: Float32Array
+    early_q: Float32Array
+    prompt_i: Float32Array
+    prompt_q: Float32Array
+    late_i: Float32Array
+    late_q: Float32Array
+    carrier_error_cycles: Float32Array
+    code_error_chips: Float32Array
+    cn0_dbhz: Float32Array
+    phase_lock_indicator: Float32Array
+    aid_doppler_hz: Float32Array
+    aid_age_s: Float32Array
+    flags: NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class Ephemeris:
+    """GPS LNAV broadcast ephemeris, SI units and radians (IS-GPS-200, tables 20-I to 20-III)."""
+
+    satellite: str
+    week: int
+    toe: float
+    toc: float
+    af0: float
+    af1: float
+    af2: float
+    tgd: float
+    sqrt_a: float
+    eccentricity: float
+    i0: float
+    omega0: float
+    omega: float
+    m0: float
+    delta_n: float
+    omega_dot: float
+    i_dot: float
+    cuc: float
+    cus: float
+    crc: float
+    crs: float
+    cic: float
+    cis: float
+    iode: int = 0
+    iodc: int = 0
+    health: int = 0
+    accuracy: float = 2.0
+    l2_code: int = 0
+    l2p_flag: int = 0
+    fit_interval_flag: int = 0
+    transmit_tow: float = 0.0
+    effective_sample_index: int = -1
+    iono_alpha: tuple[float, ...] = ()
+    iono_beta: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Observations:
+    """One epoch on the GPS-time grid; arrays are aligned on ``satellites``."""
+
+    sample_index: int
+    sample_fraction: float
+    week: int
+    tow_ns: int
+    valid_through: int
+    interval: float
+    satellites: tuple[str, ...]
+    pseudorange: FloatArray
+    carrier_phase_cycles: FloatArray
+    carrier_doppler_hz: FloatArray
+    cn0_dbhz: Float32Array
+    lli: NDArray[np.uint8]
+    lock_time: Float32Array
+    carrier_error_cycles: Float32Array
+    carrier_error_sd_cycles: Float32Array
+    code_error_chips: Float32Array
+    code_error_sd_chips: Float32Array
+    flags: NDArray[np.uint16]
+
+
+def _empty() -> Float32Array:
+    return np.zeros(0, np.float32)
+
+
+@dataclass(frozen=True)
+class Pvt:
+    """Position, velocity and clock of one epoch, ECEF; residuals aligned on ``satellites``."""
+
+    sample_index: int
+    week: int
+    tow_ns: int
+    valid_through: int
+    status: int
+    position_ecef: FloatArray
+    velocity_ecef: FloatArray
+    clock_bias: float
+    clock_drift: float
+    position_covariance_ecef: FloatArray
+    velocity_covariance_ecef: FloatArray
+    satellites: tuple[str, ...] = ()
+    pseudorange_residual: Float32Array = field(default_factory=_empty)
+    range_rate_residual: Float32Array = field(default_factory=_empty)
+    elevation: Float32Array = field(default_factory=_empty)
+    azimuth: Float32Array = field(default_factory=_empty)
+    gdop: float = float("nan")
+    pdop: float = float("nan")
+    hdop: float = float("nan")
+    vdop: float = float("nan")
+    rejected: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Aiding:
+    """Predicted Doppler over ``[valid_from, valid_through]`` at uniform knots.
+
+    ``carrier_doppler_hz`` and ``carrier_doppler_rate`` have shape (n_satellites, knot_count);
+    the receiver oscillator's part is ``clock_drift_hz`` (NaN: unknown, the loop keeps its own).
+    """
+
+    source: str
+    valid_from: int
+    valid_through: int
+    valid: bool
+    knot_sample_index: int
+    knot_step_samples: int
+    knot_count: int
+    satellites: tuple[str, ...]
+    carrier_doppler_hz: FloatArray
+    carrier_doppler_rate: FloatArray
+    clock_drift_hz: float
+    doppler_sd_hz: Float32Array

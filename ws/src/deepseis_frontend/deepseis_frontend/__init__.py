@@ -1,0 +1,1 @@
+"""IF sample formats and sources, IMU sources."""

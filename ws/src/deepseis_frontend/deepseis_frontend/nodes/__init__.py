@@ -1,0 +1,1 @@
+"""The nodes of deepseis_frontend: thin shells around its algorithms."""

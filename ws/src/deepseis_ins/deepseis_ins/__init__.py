@@ -1,0 +1,1 @@
+"""Inertial navigation, its fusion with GNSS, and the aiding of the tracking loops."""

@@ -1,0 +1,1 @@
+"""The nodes of deepseis_ins: thin shells around its algorithms."""

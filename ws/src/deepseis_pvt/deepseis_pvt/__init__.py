@@ -1,0 +1,1 @@
+"""From tracking epochs to observations, positions and displacement."""

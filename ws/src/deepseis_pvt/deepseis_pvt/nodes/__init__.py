@@ -1,0 +1,1 @@
+"""The nodes of deepseis_pvt: thin shells around its algorithms."""

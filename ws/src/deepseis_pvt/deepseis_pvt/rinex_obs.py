@@ -1,0 +1,256 @@
+"""RINEX 3.05 observation files, written epoch by epoch.
+
+The file grows under a temporary name and takes its long name (which holds the period covered)
+when it is closed. After each second of data everything written is handed to the system, so a
+killed process loses one second at most.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import TextIO
+
+import numpy as np
+
+from deepseis_core.constants import NS_PER_S
+from deepseis_core.errors import InputError
+from deepseis_core.gps_time import GpsTime
+from deepseis_core.types import FloatArray, Observations
+
+OBSERVATION_TYPES = "C1C L1C D1C S1C"
+
+
+@dataclass(frozen=True)
+class RinexStation:
+    """What the header says of the station.
+
+    ``name`` is the nine-character RINEX station name (site, monument, receiver, country);
+    ``position_ecef`` the approximate position [m]; ``antenna_hen`` the antenna's height, east
+    and north offset from the marker [m].
+    """
+
+    name: str = "DSEI00XXX"
+    marker: str = "DEEPSEIS"
+    observer: str = ""
+    agency: str = ""
+    run_by: str = ""
+    receiver_number: str = ""
+    receiver: str = "DEEPSEIS"
+    receiver_version: str = ""
+    antenna_number: str = ""
+    antenna: str = "UNKNOWN"
+    position_ecef: tuple[float, float, float] | None = None
+    antenna_hen: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Refuse a name that cannot begin a RINEX long file name."""
+        if len(self.name) != 9 or not (self.name.isascii() and self.name.isalnum()):
+            raise InputError(
+                f"station name {self.name!r}", "is not nine letters and digits", "as in DSEI00CHN"
+            )
+
+
+def sampling_field(interval: float) -> str:
+    """Return the data frequency of a long file name for a sampling interval [s].
+
+    Examples
+    --------
+    >>> [sampling_field(x) for x in (0.01, 0.02, 0.1, 1.0, 30.0)]
+    ['01C', '50Z', '10Z', '01S', '30S']
+    """
+    if interval < 1.0:
+        rate_hz = round(1.0 / interval)
+        return f"{rate_hz:02d}Z" if rate_hz < 100 else f"{round(rate_hz / 100):02d}C"
+    return f"{round(interval):02d}S" if interval < 100 else f"{round(interval / 60):02d}M"
+
+
+def period_field(seconds: float) -> str:
+    """Return the file period of a long file name, rounded up to whole minutes, hours or days.
+
+    Examples
+    --------
+    >>> [period_field(x) for x in (40.0, 5400.0, 86400.0, 9e5)]
+    ['01M', '90M', '24H', '11D']
+    """
+    for unit, length in (("M", 60), ("H", 3600), ("D", 86400)):
+        count = max(1, math.ceil(seconds / length - 1e-9))
+        if count <= 99:
+            return f"{count:02d}{unit}"
+    return "00U"
+
+
+def long_name(station: str, start: GpsTime, interval: float, seconds: float) -> str:
+    """Return the RINEX 3 name of a GPS observation file (RINEX 3.05, table A1).
+
+    Examples
+    --------
+    >>> long_name("DSEI00CHN", GpsTime.from_calendar(2022, 1, 1, 2, 30), 0.02, 40.0)
+    'DSEI00CHN_R_20220010230_01M_50Z_GO.rnx'
+    """
+    year, _, _, hour, minute, _ = start.to_calendar()
+    day = start.day_of_year()
+    fields = f"{period_field(seconds)}_{sampling_field(interval)}"
+    return f"{station.upper()}_R_{year:04d}{day:03d}{hour:02d}{minute:02d}_{fields}_GO.rnx"
+
+
+def epoch_line(time: GpsTime, n_satellites: int) -> str:
+    """Return the epoch record; seconds to 100 ns from integers.
+
+    Examples
+    --------
+    >>> epoch_line(GpsTime.from_calendar(2022, 1, 1, 2, 0, 59_980_000_000), 8)
+    '> 2022 01 01 02 00 59.9800000  0  8'
+    """
+    year, month, day, hour, minute, ns = time.to_calendar()
+    second, rest = divmod(ns, NS_PER_S)
+    date = f"{year:4d} {month:02d} {day:02d} {hour:02d} {minute:02d}"
+    return f"> {date} {second:2d}.{rest // 100:07d}  0{n_satellites:3d}"
+
+
+def satellite_line(
+    satellite: str, code: float, phase: float, doppler: float, cn0: float, lli: int
+) -> str:
+    """Return one satellite's record: C1C, L1C with LLI, D1C, S1C; unknown values blank.
+
+    Examples
+    --------
+    >>> satellite_line("G05", 21487708.6921, 112918674.5844, -2685.48, 40.26, 1)
+    'G05  21487708.692   112918674.58416     -2685.480          40.260'
+    """
+    strength = min(max(int(cn0 // 6), 1), 9)
+    marks = f"{lli if lli else ' '}{strength}"
+    carrier = f"{phase:14.3f}{marks}" if phase == phase else " " * 16
+    return f"{satellite}{code:14.3f}  {carrier}{doppler:14.3f}  {cn0:14.3f}"
+
+
+def header_lines(
+    station: RinexStation, start: GpsTime, interval: float, created: dt.datetime
+) -> list[str]:
+    """Return the header of a GPS-only observation file, one line each."""
+    s = station
+    year, month, day, hour, minute, ns = start.to_calendar()
+    x, y, z = s.position_ecef or (0.0, 0.0, 0.0)
+    height, east, north = s.antenna_hen
+    seconds = f"{ns // NS_PER_S:5d}.{ns % NS_PER_S // 100:07d}"
+    first = f"{year:6d}{month:6d}{day:6d}{hour:6d}{minute:6d}{seconds}"
+    n_types = len(OBSERVATION_TYPES.split())
+    run = f"{'DeepSeis':<20.20}{s.run_by:<20.20}{created:%Y%m%d %H%M%S} UTC"
+    receiver = f"{s.receiver_number:<20.20}{s.receiver:<20.20}{s.receiver_version:<20.20}"
+    records = [
+        (f"{3.05:9.2f}{'':11}{'OBSERVATION DATA':<20}{'G: GPS':<20}", "RINEX VERSION / TYPE"),
+        (run, "PGM / RUN BY / DATE"),
+        (f"{s.marker:<60.60}", "MARKER NAME"),
+        (f"{'GEODETIC':<20}", "MARKER TYPE"),
+        (f"{s.observer:<20.20}{s.agency:<40.40}", "OBSERVER / AGENCY"),
+        (receiver, "REC # / TYPE / VERS"),
+        (f"{s.antenna_number:<20.20}{s.antenna:<20.20}", "ANT # / TYPE"),
+        (f"{x:14.4f}{y:14.4f}{z:14.4f}", "APPROX POSITION XYZ"),
+        (f"{height:14.4f}{east:14.4f}{north:14.4f}", "ANTENNA: DELTA H/E/N"),
+        (f"G  {n_types:3d} {OBSERVATION_TYPES}", "SYS / # / OBS TYPES"),
+        ("DBHZ", "SIGNAL STRENGTH UNIT"),
+        (f"{interval:10.3f}", "INTERVAL"),
+        (f"{first}     GPS", "TIME OF FIRST OBS"),
+        (f"{0:6d}", "RCV CLOCK OFFS APPL"),
+        (f"G L1C {0:8.5f}", "SYS / PHASE SHIFT"),
+        (f"{start.leap_seconds():6d}", "LEAP SECONDS"),
+        ("", "END OF HEADER"),
+    ]
+    return [f"{text:<60.60}{label}" for text, label in records]
+
+
+class RinexObsWriter:
+    """Writes ``Observations`` to one file; a context manager.
+
+    Parameters
+    ----------
+    folder : path
+        Where the file goes; must exist.
+    station : RinexStation
+        For the header and the file's name.
+    created : datetime, optional
+        UTC for the PGM / RUN BY / DATE line; default now.
+    """
+
+    def __init__(
+        self,
+        folder: str | os.PathLike[str],
+        station: RinexStation | None = None,
+        created: dt.datetime | None = None,
+    ) -> None:
+        self.folder = Path(folder)
+        if not self.folder.is_dir():
+            raise InputError(self.folder, "is not a folder", "make it, or name another one")
+        self.station = station or RinexStation()
+        self.created = created or dt.datetime.now(dt.UTC)
+        self.path: Path | None = None
+        self._file: TextIO | None = None
+        self._start = self._last = GpsTime(0, 0)
+        self._interval = 1.0
+
+    def write(self, observations: Observations, position_ecef: FloatArray | None = None) -> None:
+        """Append one epoch; an empty one too, so that gaps in reception show as such.
+
+        ``position_ecef`` [m] serves the header where the station's own is not known; only the
+        first epoch's counts.
+        """
+        o = observations
+        time = GpsTime(o.week, o.tow_ns)
+        if self._file is None:
+            self._open(time, o.interval, position_ecef)
+        assert self._file is not None
+        lines = [epoch_line(time, len(o.satellites))]
+        columns = (
+            o.pseudorange.tolist(),
+            o.carrier_phase_cycles.tolist(),
+            o.carrier_doppler_hz.tolist(),
+            o.cn0_dbhz.tolist(),
+            o.lli.tolist(),
+        )
+        lines += sorted(map(satellite_line, o.satellites, *columns))
+        self._file.write("\n".join(lines) + "\n")
+        if time.total_ns // NS_PER_S != self._last.total_ns // NS_PER_S:
+            self._file.flush()
+        self._last = time
+
+    def close(self) -> Path | None:
+        """Finish the file and give it its name; None if there was no epoch."""
+        if self._file is None or self.path is None:
+            return None
+        self._file.close()
+        self._file = None
+        seconds = self._last.diff_ns(self._start) / NS_PER_S + self._interval
+        name = long_name(self.station.name, self._start, self._interval, seconds)
+        self.path = self.path.replace(self.folder / name)
+        return self.path
+
+    def _open(self, start: GpsTime, interval: float, position: FloatArray | None) -> None:
+        self._start, self._interval = start, interval
+        year, month, day, hour, minute, ns = start.to_calendar()
+        stamp = f"{year:04d}{month:02d}{day:02d}{hour:02d}{minute:02d}{ns // NS_PER_S:02d}"
+        self.path = self.folder / f"{self.station.name}_{stamp}.rnx.part"
+        self._file = self.path.open("w", encoding="ascii", newline="\n")
+        station = self.station
+        if station.position_ecef is None and position is not None and np.isfinite(position).all():
+            x, y, z = map(float, position)
+            station = RinexStation(**{**vars(station), "position_ecef": (x, y, z)})
+        header = header_lines(station, start, interval, self.created)
+        self._file.write("\n".join(header) + "\n")
+        self._file.flush()
+
+    def __enter__(self) -> RinexObsWriter:
+        """Return the writer."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close: the epochs before an error are whole."""
+        self.close()

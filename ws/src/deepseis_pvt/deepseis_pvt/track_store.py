@@ -1,0 +1,148 @@
+"""Integrations of all satellites that still wait for their grid epoch, and how far they reach.
+
+The store keeps one row per integration in arrays that the observables' kernels read. Rows leave
+it as the work passes them, so its size is the backlog of the slowest satellite.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepseis_core.types import FloatArray, IntArray, TrackingEpochs, TrackingFlag
+
+START, COUNT, TRANSMIT_MS, FLAGS, BREAK = range(5)
+"""Columns of ``TrackStore.ints``; ``BREAK``: 1 where the carrier phase does not
+continue the row before, plus 2 where polarity turned."""
+
+FLOAT_FIELDS = (
+    "code_phase_chips",
+    "code_rate_cps",
+    "carrier_phase_cycles",
+    "carrier_doppler_hz",
+    "carrier_doppler_rate",
+    "carrier_doppler_accel",
+    "carrier_error_cycles",
+    "code_error_chips",
+    "cn0_dbhz",
+)
+"""Columns of ``TrackStore.floats``: fields of ``TrackingEpochs``."""
+
+MAX_ROWS = 65536
+"""Rows of one satellite: 65 s of 1 ms or 22 minutes of 20 ms integrations [-]."""
+
+
+class TrackStore:
+    """Rows of every satellite from the first one still needed, in order of the sample index.
+
+    Parameters
+    ----------
+    satellites : iterable of str
+        All satellites of the graph, tracked or idle.
+
+    Attributes
+    ----------
+    ints, floats : ndarray, shape (n_satellites, capacity, n_columns)
+        Rows ``head[i]`` to ``tail[i]`` of satellite ``i`` are the ones waiting.
+    published : ndarray of int64, shape (n_satellites,)
+        ``valid_through`` of the last message [samples].
+    counts : dict
+        ``late``, ``disordered`` and ``unknown_satellite`` rows or messages met.
+    """
+
+    def __init__(self, satellites: Iterable[str]) -> None:
+        self.satellites = tuple(satellites)
+        self.number = {name: i for i, name in enumerate(self.satellites)}
+        n = len(self.satellites)
+        self.ints: IntArray = np.zeros((n, 64, 5), np.int64)
+        self.floats: FloatArray = np.zeros((n, 64, len(FLOAT_FIELDS)))
+        self.head: IntArray = np.zeros(n, np.int64)
+        self.tail: IntArray = np.zeros(n, np.int64)
+        self.published: IntArray = np.full(n, -1, np.int64)
+        self.end: IntArray = np.full(n, -1, np.int64)
+        self.counts = {"late": 0, "disordered": 0, "unknown_satellite": 0}
+        self._promised: list[deque[tuple[int, int]]] = [deque() for _ in range(n)]
+        self._ephemerides: IntArray = np.zeros(n, np.int64)
+
+    def push(self, epochs: TrackingEpochs, worked_through: int = -1) -> None:
+        """Take one message; rows wholly at or before ``worked_through`` only count as late."""
+        i = self.number.get(epochs.satellite)
+        if i is None:
+            self.counts["unknown_satellite"] += 1
+            return
+        if epochs.valid_through < self.published[i]:
+            self.counts["disordered"] += 1
+            return
+        self.published[i] = epochs.valid_through
+        promised = self._promised[i]
+        if epochs.ephemeris_count > self._ephemerides[i]:
+            promised.append((epochs.valid_through, epochs.ephemeris_count))
+        if len(epochs.sample_index):
+            ints = self._int_columns(i, epochs)
+            self.counts["late"] += int(np.sum(ints[:, START] + ints[:, COUNT] <= worked_through))
+            floats = np.stack([getattr(epochs, name) for name in FLOAT_FIELDS], axis=1)
+            self._append(i, ints, floats)
+
+    def received_ephemeris(self, satellite: str) -> None:
+        """Count an ephemeris that the satellite's channel has published."""
+        i = self.number.get(satellite)
+        if i is None:
+            return
+        self._ephemerides[i] += 1
+        promised = self._promised[i]
+        while promised and promised[0][1] <= self._ephemerides[i]:
+            promised.popleft()
+
+    def ephemerides_through(self) -> int:
+        """Return the sample up to which every ephemeris that was announced has arrived."""
+        return min((p[0][0] for p in self._promised if p), default=np.iinfo(np.int64).max)
+
+    def laggard(self) -> str:
+        """Return the satellite whose messages reach least far."""
+        return self.satellites[int(np.argmin(self.published))]
+
+    def _int_columns(self, i: int, epochs: TrackingEpochs) -> IntArray:
+        start = np.asarray(epochs.sample_index, np.int64)
+        ints = np.empty((len(start), 5), np.int64)
+        ints[:, START] = start
+        ints[:, COUNT] = epochs.sample_count
+        ints[:, TRANSMIT_MS] = epochs.transmit_ms
+        ints[:, FLAGS] = epochs.flags
+        end = start + ints[:, COUNT]
+        before = np.concatenate(([self.end[i]], end[:-1]))
+        flags = ints[:, FLAGS]
+        lost = (flags & TrackingFlag.SLIP != 0) | (flags & TrackingFlag.PHASE_LOCK == 0)
+        turned = flags & TrackingFlag.HALF_CYCLE != 0
+        ints[:, BREAK] = (lost | (start != before)) + 2 * turned
+        self.counts["disordered"] += int(np.sum(start < before))
+        self.end[i] = end[-1]
+        return ints
+
+    def _append(self, i: int, ints: IntArray, floats: NDArray[np.float64]) -> None:
+        if self.tail[i] + len(ints) > self.ints.shape[1]:
+            self._make_room(i, len(ints))
+        rows = slice(int(self.tail[i]), int(self.tail[i]) + len(ints))
+        self.ints[i, rows] = ints
+        self.floats[i, rows] = floats
+        self.tail[i] = rows.stop
+
+    def _make_room(self, i: int, extra: int) -> None:
+        waiting = int(self.tail[i] - self.head[i])
+        rows = slice(int(self.head[i]), int(self.tail[i]))
+        self.ints[i, :waiting] = self.ints[i, rows].copy()
+        self.floats[i, :waiting] = self.floats[i, rows].copy()
+        self.head[i], self.tail[i] = 0, waiting
+        capacity = self.ints.shape[1]
+        while capacity < 2 * (waiting + extra):
+            capacity *= 2
+        if capacity > MAX_ROWS:
+            raise BufferError(
+                f"{self.satellites[i]} is {waiting} integrations ahead of {self.laggard()}: "
+                f"is the tracker of {self.laggard()} running?"
+            )
+        if capacity > self.ints.shape[1]:
+            room = ((0, 0), (0, capacity - self.ints.shape[1]), (0, 0))
+            self.ints, self.floats = np.pad(self.ints, room), np.pad(self.floats, room)

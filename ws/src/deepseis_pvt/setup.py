@@ -1,0 +1,41 @@
+"""Install deepseis_pvt."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+PACKAGE = "deepseis_pvt"
+
+
+def shared_files() -> list[tuple[str, list[str]]]:
+    """List launch, parameter and scenario files for share/deepseis_pvt."""
+    folders: dict[str, list[str]] = {}
+    for folder in ("launch", "config", "scenarios"):
+        for path in sorted(Path(folder).rglob("*.*")):
+            folders.setdefault(f"share/{PACKAGE}/{path.parent}", []).append(str(path))
+    return list(folders.items())
+
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Observables, positioning, carrier-phase displacement, RTK, RINEX.",
+    license="Apache-2.0",
+    maintainer="DeepSeis developers",
+    maintainer_email="deepseis@posteo.net",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    package_data={"": ["py.typed", "*.yaml", "*.csv", "*.txt", "*.json"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        *shared_files(),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "pvt = deepseis_pvt.nodes.pvt:main",
+        ],
+    },
+)

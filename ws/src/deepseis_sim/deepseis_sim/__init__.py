@@ -1,0 +1,1 @@
+"""The test bench: ground motion, IMU, constellation and IF samples with known truth."""

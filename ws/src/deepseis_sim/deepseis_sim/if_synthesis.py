@@ -1,0 +1,171 @@
+"""IF samples of a sky of satellites: amplitudes, automatic gain, quantiser, packing.
+
+The signal model, in units of the noise's standard deviation per component (design, section 1)::
+
+    complex   s[n] = sum A D C exp(j(2 pi f_IF n / fs + phi)) + w_I + j w_Q,   A = sqrt(2 CN0 / fs)
+    real      s[n] = sum A D C cos(2 pi f_IF n / fs + phi) + w,                A = 2 sqrt(CN0 / fs)
+
+so that C/N0 is carrier power over the noise's power density, with all of the noise inside the
+sampled bandwidth (fs, or fs/2 for real samples). Quantising then costs its known part: 1.96 dB
+with 1 bit, 0.55 dB with 2, 0.05 dB with 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepseis_core.baseband import phase_increment
+from deepseis_core.ca_code import ca_code
+from deepseis_core.constants import CA_LENGTH, CA_RATE_CPS
+from deepseis_core.errors import InputError
+from deepseis_core.if_format import IfFormat
+from deepseis_core.types import FloatArray
+from deepseis_sim.if_kernel import TILE, synthesise
+
+OPTIMUM_STEP: Final = {1: 1.596, 2: 0.9957, 4: 0.3352, 8: 0.03076, 16: 1 / 4096}
+"""Quantiser step per standard deviation that distorts a normal variable least (J. Max,
+"Quantizing for minimum distortion", IRE Trans. IT-6, 1960, table 2); 16 bits: 8 sigma fit."""
+
+SEGMENT: Final = 0.01
+"""Wanted length of one phase polynomial [s]; the real one is a whole number of tiles."""
+
+LOWEST_RATE_HZ: Final = 1.0e6
+"""Sample rate below which a group of samples would span more chips than a window holds."""
+
+
+@dataclass(frozen=True)
+class SignalSegments:
+    """Phases of every satellite over a span of segments; the synthesis' input.
+
+    Attributes
+    ----------
+    first_segment : int
+        Number of the first segment, counted from sample 0.
+    carrier_phase_cycles, code_phase_chips : ndarray, shape (n_satellites, n_segments, 4)
+        Cubics in the fraction of the segment. Code phase counts from the first data bit.
+    cn0_dbhz : ndarray, shape (n_satellites, n_segments)
+        Minus infinity: no signal.
+    bits : ndarray of uint8, shape (n_satellites, n_bits)
+        Data bits (1 inverts the signal), one each 20 code periods.
+    """
+
+    first_segment: int
+    carrier_phase_cycles: FloatArray
+    code_phase_chips: FloatArray
+    cn0_dbhz: FloatArray
+    bits: NDArray[np.uint8]
+
+
+def chip_windows(prn: int) -> NDArray[np.uint32]:
+    """Return the 32 chips of a C/A code from each of its 1023 chips on, the first in bit 0.
+
+    Examples
+    --------
+    >>> f"{chip_windows(1)[0] & 0x3FF:010b}"[::-1]  # octal 1440 (IS-GPS-200, table 3-Ia)
+    '1100100000'
+    """
+    chips = (np.asarray(ca_code(prn)) < 0).astype(np.uint32)
+    windows = np.zeros(CA_LENGTH, np.uint32)
+    for k in range(32):
+        windows |= np.roll(chips, -k) << np.uint32(k)
+    return windows
+
+
+class IfSynthesizer:
+    """Makes the packed IF samples of one front end.
+
+    Parameters
+    ----------
+    format : IfFormat
+    sample_rate_hz, intermediate_frequency_hz : float
+    prn : sequence of int
+        Satellites, in the order of the segments' first axis.
+    seed : int
+        Of the noise.
+    noise : bool, optional
+        False leaves the bare signal, for tests.
+    mean_cn0_dbhz : sequence of float, optional
+        C/N0 for which the automatic gain is set; none: noise alone.
+
+    Attributes
+    ----------
+    segment_samples : int
+        Length of a segment: the phase polynomials belong to multiples of it.
+    """
+
+    def __init__(
+        self,
+        format: IfFormat,
+        sample_rate_hz: float,
+        intermediate_frequency_hz: float,
+        prn: Sequence[int],
+        *,
+        seed: int = 0,
+        noise: bool = True,
+        mean_cn0_dbhz: Sequence[float] = (),
+    ) -> None:
+        if not sample_rate_hz >= LOWEST_RATE_HZ:
+            raise InputError("sample rate", f"{sample_rate_hz} Hz is below 1 MHz")
+        self.format = format
+        self.sample_rate_hz = float(sample_rate_hz)
+        self.tiles_per_segment = max(1, round(SEGMENT * sample_rate_hz / TILE))
+        self.segment_samples = self.tiles_per_segment * TILE
+        self._group = 64 if 63 * CA_RATE_CPS / sample_rate_hz < 30 else 16
+        increment = phase_increment(intermediate_frequency_hz, sample_rate_hz)
+        self._carrier = (np.uint64(increment), -1.0 if format.inverted else 1.0)
+        self._windows = np.array([chip_windows(p) for p in prn], np.uint32).reshape(-1, CA_LENGTH)
+        self._seed = np.uint64(seed & (2**64 - 1))
+        self._noise = noise
+        self._levels = self._quantiser(mean_cn0_dbhz)
+
+    def amplitude(self, cn0_dbhz: FloatArray) -> FloatArray:
+        """Return the amplitude that has a C/N0, in units of the noise per component."""
+        cn0 = 10.0 ** (np.asarray(cn0_dbhz, np.float64) / 10.0)
+        return np.sqrt((4.0 if self.format.is_real else 2.0) * cn0 / self.sample_rate_hz)
+
+    def _quantiser(self, cn0_dbhz: Sequence[float]) -> tuple[np.float32, bool, np.float32]:
+        """Set the gain by the power that is to come: step, kind of levels, largest level."""
+        signals = float(np.sum(self.amplitude(np.asarray(cn0_dbhz, np.float64)) ** 2)) / 2.0
+        sigma = np.sqrt(float(self._noise) + signals) or 1.0
+        step = OPTIMUM_STEP[self.format.bits] * sigma
+        limit = min(self.format.max_level, 32767 if self.format.bits == 16 else 127)
+        return np.float32(1.0 / step), self.format.levels == "odd", np.float32(limit)
+
+    def levels(
+        self, segments: SignalSegments, start: int, count: int
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Make the quantised samples ``start .. start + count``.
+
+        Parameters
+        ----------
+        segments : SignalSegments
+            Covering these samples.
+        start, count : int
+            First sample index, number of samples.
+
+        Returns
+        -------
+        tuple of ndarray of int8 or int16, shape (count,)
+            I and Q levels; real samples are the first.
+        """
+        first, last = start // TILE, -(-(start + count) // TILE)
+        shape = (last - first) * TILE
+        out_i, out_q = np.empty(shape, self.format.dtype), np.empty(shape, self.format.dtype)
+        synthesise(
+            first, segments.first_segment, self.tiles_per_segment,
+            segments.carrier_phase_cycles, segments.code_phase_chips,
+            self.amplitude(segments.cn0_dbhz), self._windows, segments.bits,
+            self._carrier, self._group, self._seed, self._noise, self._levels, out_i, out_q,
+        )  # fmt: skip
+        part = slice(start - first * TILE, start - first * TILE + count)
+        return out_i[part], out_q[part]
+
+    def packed(self, segments: SignalSegments, start: int, count: int) -> NDArray[np.uint8]:
+        """Make the samples ``start .. start + count`` in the front end's bytes."""
+        i, q = self.levels(segments, start, count)
+        return self.format.pack(i, None if self.format.is_real else q)

@@ -1,0 +1,1 @@
+"""The nodes of deepseis_sim: thin shells around its algorithms."""

@@ -1,0 +1,1 @@
+"""Acquisition, tracking loops and navigation data of the satellites."""

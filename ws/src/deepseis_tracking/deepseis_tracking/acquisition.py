@@ -1,0 +1,307 @@
+"""Acquisition of GPS L1 C/A: which satellites are there, at what code phase and Doppler."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from deepseis_core.config import check, setting
+from deepseis_core.errors import InputError
+from numpy.typing import NDArray
+from scipy import fft
+
+import ca_scratch as ca_code
+
+from deepseis_tracking import acquisition_fine as fine
+from deepseis_tracking import acquisition_signal as sig
+from deepseis_tracking import acquisition_statistics as stat
+
+SATELLITES = tuple(f"G{prn:02d}" for prn in range(1, 33))
+PERIOD = 1e-3
+"""Duration of one C/A code period [s]."""
+GUARD = 4
+"""Cells on either side of a peak kept out of the noise estimate."""
+LEAK_MARGIN = 2.0
+"""A detection below this multiple of what a stronger satellite leaks there is not believed."""
+LEAK_LEVEL_DB = 15.0
+"""Smallest difference of C/N0 at which a satellite is removed as a possible source of leaks."""
+
+
+@dataclass(frozen=True)
+class AcquisitionConfig:
+    """Settings of the search."""
+
+    coherent_ms: int = setting(4, "coherent integration [ms]", low=1, high=10)
+    noncoherent_count: int = setting(25, "non-coherent sums [-]", low=1, high=1000)
+    doppler_span_hz: float = setting(
+        5000.0, "half width of the Doppler search [Hz]", low=0.0, high=50e3
+    )
+    doppler_centre_hz: float = setting(
+        0.0, "centre of the Doppler search: the oscillator's offset [Hz]", low=-50e3, high=50e3
+    )
+    false_alarm_probability: float = setting(
+        1e-6, "per satellite over all cells [-]", low=1e-12, high=0.5
+    )
+    alternate_blocks: bool = setting(
+        False, "sum odd and even blocks apart, take the better: 10 ms between data bits"
+    )
+    samples_per_ms: int = setting(2048, "working rate [samples/ms]", low=2048, high=4096)
+
+
+@dataclass(frozen=True)
+class Detection:
+    """One satellite found, or searched for in vain; fields as in ``AcquisitionResult``."""
+
+    satellite: str
+    detected: bool
+    sample_index: int
+    code_phase_chips: float
+    carrier_doppler_hz: float
+    doppler_sd_hz: float
+    statistic: float
+    threshold: float
+    false_alarm_probability: float
+    cn0_dbhz: float
+
+
+@dataclass
+class _Peak:
+    """Largest cell so far of one satellite."""
+
+    statistic: float = 0.0
+    cell: int = 0
+    doppler_hz: float = 0.0
+    rows: int = 0
+
+
+class Acquirer:
+    """Parallel code-phase search over Doppler rows, then fine estimates.
+
+    A stretch of ``coherent_ms * noncoherent_count`` ms is resampled once. In each Doppler row
+    coherent blocks are folded into one code period, correlated with each code by FFT, and their
+    squared magnitudes added with the code's own Doppler taken out.
+
+    Parameters
+    ----------
+    sample_rate_hz : float
+        Of the baseband samples.
+    config : AcquisitionConfig, optional
+        Settings.
+
+    Examples
+    --------
+    >>> Acquirer(4e6).samples_needed
+    400000
+    """
+
+    def __init__(self, sample_rate_hz: float, config: AcquisitionConfig | None = None) -> None:
+        self.config = config or AcquisitionConfig()
+        check(self.config)
+        self.sample_rate_hz = sample_rate_hz
+        duration = self.config.coherent_ms * self.config.noncoherent_count * PERIOD
+        self.samples_needed = int(np.ceil(round(sample_rate_hz * duration, 6)))
+        self._coherent_s = self.config.coherent_ms * PERIOD
+        self._row_hz = 0.5 / self._coherent_s
+        self._size = self.config.samples_per_ms
+        self._replicas: dict[str, sig.Complex64Array] = {}
+        self._product = np.empty((self.config.noncoherent_count, self._size), np.complex64)
+        self._power = np.empty(self._size)
+
+    def search(
+        self,
+        baseband_i: sig.SampleArray,
+        baseband_q: sig.SampleArray,
+        sample_index: int,
+        satellites: Sequence[str] = SATELLITES,
+        doppler_windows: Mapping[str, tuple[float, float]] | None = None,
+    ) -> list[Detection]:
+        """Search for satellites in the first ``samples_needed`` samples.
+
+        Parameters
+        ----------
+        baseband_i, baseband_q : ndarray of int8 or int16
+            Complex baseband at zero IF. ``baseband_q`` all zero marks a real signal: it holds
+            every satellite at plus and minus its Doppler, and the one nearer to
+            ``doppler_centre_hz`` is reported.
+        sample_index : int
+            Index of the first sample; code phases and Dopplers refer to it.
+        satellites : sequence of str
+            Names, "G01" to "G32".
+        doppler_windows : mapping, optional
+            (low, high) [Hz] of satellites whose Doppler is known better than the settings say.
+
+        Returns
+        -------
+        list of Detection
+            One for each satellite, in the order asked.
+        """
+        if min(len(baseband_i), len(baseband_q)) < self.samples_needed:
+            raise InputError(
+                "acquisition",
+                f"needs {self.samples_needed} samples, got {len(baseband_i)}",
+                "give a longer stretch or lower noncoherent_count",
+            )
+        stretch = slice(0, self.samples_needed)
+        conditioned = sig.condition(
+            baseband_i[stretch], baseband_q[stretch], self.sample_rate_hz, self._size
+        )
+        rows = {
+            name: self._rows(name, doppler_windows, conditioned.is_real) for name in satellites
+        }
+        peaks = self._search_rows(conditioned, rows)
+        found = {
+            name: self._judge(conditioned, name, peak, sample_index)
+            for name, peak in peaks.items()
+        }
+        for name in self._cross_correlations(found):
+            found[name] = self._search_again(conditioned, name, rows[name], found)
+        return [found[name] for name in satellites]
+
+    def _rows(
+        self,
+        satellite: str,
+        windows: Mapping[str, tuple[float, float]] | None,
+        is_real: bool,
+    ) -> NDArray[np.int64]:
+        """Return the Doppler rows to search, in steps of half the coherent bandwidth."""
+        centre, span = self.config.doppler_centre_hz, self.config.doppler_span_hz
+        low, high = (windows or {}).get(satellite, (centre - span, centre + span))
+        first, last = np.floor(low / self._row_hz), np.ceil(high / self._row_hz)
+        rows = np.arange(int(first), int(last) + 1)
+        if is_real:  # rows f and -f are the same numbers
+            side = -1 if centre < 0 else 1
+            rows = rows[(rows * side >= 0) | (-rows < rows[0]) | (-rows > rows[-1])]
+        return rows
+
+    def _replica(self, satellite: str) -> sig.Complex64Array:
+        if satellite not in self._replicas:
+            self._replicas[satellite] = sig.replica_spectrum(
+                ca_code.chips(int(satellite[1:])), self._size
+            )
+        return self._replicas[satellite]
+
+    def _search_rows(
+        self, conditioned: sig.Conditioned, rows: Mapping[str, NDArray[np.int64]]
+    ) -> dict[str, _Peak]:
+        """Return the largest cell of each satellite over its rows."""
+        config, size = self.config, self._size
+        peaks = {name: _Peak(rows=len(own)) for name, own in rows.items()}
+        wanted = {name: frozenset(own.tolist()) for name, own in rows.items()}
+        every = sorted(frozenset().union(*wanted.values()))
+        blocks = np.empty((config.noncoherent_count, size), np.complex64)
+        aligned, spectra = np.empty_like(blocks), np.empty_like(blocks)
+        times = (np.arange(len(blocks)) + 0.5) * self._coherent_s
+        rows_per_khz = 2 * config.coherent_ms
+        current = -1
+        for row in sorted(every, key=lambda r: (r % rows_per_khz, r)):
+            shift, fraction = divmod(row, rows_per_khz)
+            if fraction != current:
+                sig.fold(
+                    conditioned.signal, conditioned.rate_hz, fraction * self._row_hz, size,
+                    config.coherent_ms, blocks,
+                )  # fmt: skip
+                spectra = fft.fft(blocks, axis=1, norm="forward", workers=1)
+                current = fraction
+            doppler_hz = row * self._row_hz
+            slip = sig.code_slip(doppler_hz, conditioned.rate_hz, size, times)
+            sig.shift_and_align(spectra, shift, slip, aligned)
+            for name, peak in peaks.items():
+                if row in wanted[name]:
+                    self._correlate(aligned, self._replica(name), doppler_hz, peak)
+        return peaks
+
+    def _correlate(
+        self,
+        aligned: sig.Complex64Array,
+        replica: sig.Complex64Array,
+        doppler_hz: float,
+        peak: _Peak,
+    ) -> None:
+        """Search one Doppler row of one satellite, keeping the peak if it is larger."""
+        np.multiply(aligned, np.conj(replica), out=self._product)
+        correlation = fft.ifft(
+            self._product, axis=1, overwrite_x=True, norm="forward", workers=1
+        )
+        sets = 1 + self.config.alternate_blocks
+        for first in range(sets):
+            cell, power, mean = sig.accumulate(correlation, first, sets, GUARD, self._power)
+            if power / mean > peak.statistic:
+                peak.statistic, peak.cell, peak.doppler_hz = power / mean, int(cell), doppler_hz
+
+    def _threshold(self, satellite: str, row_count: int) -> float:
+        sets = 1 + self.config.alternate_blocks
+        cells = stat.CELL_INDEPENDENCE * self._size * row_count * sets
+        return stat.detection_threshold(
+            self.config.false_alarm_probability,
+            cells,
+            self.config.noncoherent_count / sets,
+            stat.reference_cells(self._replica(satellite)),
+        )
+
+    def _judge(
+        self, conditioned: sig.Conditioned, satellite: str, peak: _Peak, sample_index: int
+    ) -> Detection:
+        """Compare a peak with its threshold and refine it if it passes."""
+        threshold = self._threshold(satellite, peak.rows)
+        replica, detected = self._replica(satellite), peak.statistic > threshold
+        phase = -peak.cell * sig.CODE_LENGTH / self._size % sig.CODE_LENGTH
+        cn0_hz = max(peak.statistic - 1, 1e-3) / self._coherent_s
+        estimate = fine.FineEstimate(phase, peak.doppler_hz, self._row_hz / 2, cn0_hz)
+        if detected:
+            estimate = fine.refine(conditioned, replica, phase, peak.doppler_hz, self._row_hz)
+        return Detection(
+            satellite=satellite,
+            detected=bool(detected),
+            sample_index=sample_index,
+            code_phase_chips=estimate.code_phase_chips,
+            carrier_doppler_hz=estimate.carrier_doppler_hz,
+            doppler_sd_hz=estimate.doppler_sd_hz,
+            statistic=peak.statistic,
+            threshold=threshold,
+            false_alarm_probability=self.config.false_alarm_probability,
+            cn0_dbhz=float(10 * np.log10(estimate.cn0_hz)),
+        )
+
+    def _leak(self, strong: Detection, weak: Detection) -> float:
+        """Return the statistic that a stronger satellite alone would give in a weak one's cell."""
+        gain = stat.cross_correlation(
+            self._replica(strong.satellite),
+            self._replica(weak.satellite),
+            strong.code_phase_chips,
+            weak.code_phase_chips,
+            strong.carrier_doppler_hz - weak.carrier_doppler_hz,
+            self._coherent_s,
+        )
+        return 1 + float(10 ** (strong.cn0_dbhz / 10)) * self._coherent_s * gain
+
+    def _cross_correlations(self, found: Mapping[str, Detection]) -> list[str]:
+        """Return the detections that a stronger satellite explains."""
+        detections = sorted(
+            (item for item in found.values() if item.detected), key=lambda item: -item.cn0_dbhz
+        )
+        explained: list[str] = []
+        for rank, weak in enumerate(detections):
+            strong = [item for item in detections[:rank] if item.satellite not in explained]
+            leak = max((self._leak(item, weak) for item in strong), default=1.0)
+            if weak.statistic - 1 < LEAK_MARGIN * (leak - 1):
+                explained.append(weak.satellite)
+        return explained
+
+    def _search_again(
+        self,
+        conditioned: sig.Conditioned,
+        satellite: str,
+        rows: NDArray[np.int64],
+        found: Mapping[str, Detection],
+    ) -> Detection:
+        """Search once more with every satellite removed that could leak into this one."""
+        weak = found[satellite]
+        for other in found.values():
+            if other.detected and other.cn0_dbhz > weak.cn0_dbhz + LEAK_LEVEL_DB:
+                estimate = fine.FineEstimate(
+                    other.code_phase_chips, other.carrier_doppler_hz, other.doppler_sd_hz, 0.0
+                )
+                conditioned = fine.cancel(conditioned, self._replica(other.satellite), estimate)
+        peak = self._search_rows(conditioned, {satellite: rows})[satellite]
+        return self._judge(conditioned, satellite, peak, weak.sample_index)

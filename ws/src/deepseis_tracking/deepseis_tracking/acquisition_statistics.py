@@ -1,0 +1,123 @@
+"""Detection statistics of the acquisition: thresholds, cross-correlation, error bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import special
+
+CELL_INDEPENDENCE = 0.85
+"""Independent cells per cell searched (half-chip, half-bin grid); Monte Carlo in the tests."""
+
+
+def cell_false_alarm(false_alarm_probability: float, cell_count: float) -> float:
+    """Return the probability per cell that gives a probability over all cells.
+
+    ``1 - (1 - p)**cell_count = false_alarm_probability``
+
+    Examples
+    --------
+    >>> round(cell_false_alarm(0.1, 1000) * 1000, 4)
+    0.1054
+    """
+    return float(-np.expm1(np.log1p(-false_alarm_probability) / cell_count))
+
+
+def detection_threshold(
+    false_alarm_probability: float, cell_count: float, sums: float, reference_count: float
+) -> float:
+    """Return the threshold on peak power over mean noise power.
+
+    One cell holds the sum of ``sums`` squared magnitudes of complex Gaussian noise, a gamma
+    variable of shape ``sums``. It is divided by the mean of ``reference_count`` independent
+    cells of the same Doppler row (cell-averaging CFAR), so that the ratio is F distributed with
+    ``(2 sums, 2 sums reference_count)`` degrees of freedom, whatever the noise power; the
+    largest of ``cell_count`` independent ratios is then held to ``false_alarm_probability``.
+
+    Parameters
+    ----------
+    false_alarm_probability : float
+        Of the largest ratio passing the threshold where there is noise only.
+    cell_count : float
+        Independent cells searched.
+    sums : float
+        Non-coherent sums in a cell.
+    reference_count : float
+        Independent cells in the noise estimate.
+
+    Examples
+    --------
+    One sum against a well known mean is exponential:
+
+    >>> round(detection_threshold(1e-3, 1.0, 1, 1e9), 2)
+    6.91
+    """
+    probability = cell_false_alarm(false_alarm_probability, cell_count)
+    numerator, denominator = sums, sums * reference_count
+    ratio = special.betaincinv(denominator, numerator, probability)
+    return float(reference_count * (1 - ratio) / ratio)
+
+
+def doppler_crlb_hz(cn0_hz: float, spans: np.ndarray) -> float:
+    """Return the Cramer-Rao bound of the Doppler from coherent spans of unrelated phase.
+
+    A tone over ``T`` has ``var(omega) = 6 / (cn0 T**3)``; information of the spans adds.
+
+    Parameters
+    ----------
+    cn0_hz : float
+        Carrier to noise density [Hz], linear.
+    spans : ndarray
+        Durations of the coherent spans [s].
+
+    Examples
+    --------
+    >>> round(doppler_crlb_hz(10**3.5, np.full(5, 0.02)), 2)
+    1.1
+    """
+    information = cn0_hz * np.sum(spans**3) / 6
+    return float(1 / (2 * np.pi * np.sqrt(information)))
+
+
+def reference_cells(replica: np.ndarray) -> float:
+    """Return how many independent cells one Doppler row of code phases is worth.
+
+    Noise through the replica has the spectrum ``|C_k|**2``; the variance of its mean power is
+    that of ``(sum |C|**2)**2 / sum |C|**4`` independent values.
+    """
+    power = np.abs(replica.astype(np.complex128)) ** 2
+    return float(np.sum(power) ** 2 / np.sum(power**2))
+
+
+def band_fraction(replica: np.ndarray) -> float:
+    """Return the fraction of the signal's power inside the working band."""
+    return float(np.sum(np.abs(replica.astype(np.complex128)) ** 2))
+
+
+def cross_correlation(
+    strong: np.ndarray, weak: np.ndarray, phase_chips: float, weak_phase_chips: float,
+    difference_hz: float, coherent_s: float,
+) -> float:
+    """Return the power that one satellite leaves in another's cell, relative to its own.
+
+    Parameters
+    ----------
+    strong, weak : ndarray of complex, shape (size,)
+        Replica spectra of the satellite that leaks and of the one searched for.
+    phase_chips, weak_phase_chips : float
+        Code phases of both at the first sample [chips]; the largest leak within two chips
+        counts, as codes drift against each other.
+    difference_hz : float
+        Doppler of the strong satellite minus that of the cell [Hz]. Codes repeat every
+        millisecond, so that leaks recur modulo 1 kHz.
+    coherent_s : float
+        Coherent integration [s].
+    """
+    size = len(strong)
+    harmonic = np.fft.fftfreq(size, 1 / size)
+    shift = round(difference_hz / 1000)
+    received = np.roll(strong * np.exp(2j * np.pi * harmonic * phase_chips / 1023), shift)
+    reach = np.arange(-2.0, 2.01, 0.25)
+    matched = np.exp(-2j * np.pi * np.outer(weak_phase_chips + reach, harmonic) / 1023)
+    leak = matched @ (received * np.conj(weak))
+    gain = np.sinc((difference_hz - 1000 * shift) * coherent_s)
+    return float(np.max(np.abs(leak)) ** 2 * gain**2 / np.sum(np.abs(strong) ** 2) ** 2)

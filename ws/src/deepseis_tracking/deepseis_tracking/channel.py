@@ -1,0 +1,330 @@
+"""One satellite's channel: settings, hand-over, integrations, navigation message."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepseis_core.config import check, setting
+from deepseis_core.constants import CA_RATE_CPS, CA_LENGTH, L1_HZ
+from deepseis_core.lnav import LnavDecoder
+from deepseis_core.types import (
+    AcquisitionResult,
+    Aiding,
+    Ephemeris,
+    FloatArray,
+    TrackingEpochs,
+    TrackingFlag,
+    TrackingMode,
+)
+from deepseis_tracking import channel_kernel
+from deepseis_tracking.channel_state import CONFIG, EPOCH, EPOCH_FIELDS, STATE
+from deepseis_tracking.loop_filter import LoopGains, design_loop
+from deepseis_tracking.replica import ReplicaBank
+
+
+@dataclass(frozen=True)
+class TrackingConfig:
+    """Settings of the tracking loops."""
+
+    pll_order: int = setting(2, "conventional PLL order [-]", low=1, high=3)
+    pll_bandwidth_hz: float = setting(15.0, "conventional PLL noise bandwidth [Hz]", low=0.5, high=50)
+    aided_order: int = setting(2, "aided PLL order [-]", low=1, high=3)
+    aided_bandwidth_hz: float = setting(8.0, "aided PLL noise bandwidth [Hz]", low=0.3, high=50)
+    loop_design: str = setting(
+        "realised",
+        "bandwidth is that of the discrete loop, or the analog constants as printed [-]",
+        choices=("realised", "analog"),
+    )
+    dll_bandwidth_hz: float = setting(1.0, "carrier-aided DLL noise bandwidth [Hz]", low=0.05, high=10)
+    spacing_chips: float = setting(0.5, "early to late [chips]", low=0.05, high=1.5)
+    integration_ms: int = setting(20, "coherent integration after bit sync [ms]", low=1, high=20)
+    pull_in_bandwidth_hz: float = setting(18.0, "PLL bandwidth at 1 ms [Hz]", low=5, high=60)
+    pull_in_ms: int = setting(250, "FLL-assisted pull-in [ms]", low=20, high=2000)
+    bit_sync_limit_ms: int = setting(5000, "start over if bit edges are not clear by then [ms]", low=500)
+    code_lock_dbhz: float = setting(27.0, "C/N0 that declares code lock [dB-Hz]", low=10, high=40)
+    loss_dbhz: float = setting(23.0, "C/N0 that counts as lost [dB-Hz]", low=10, high=40)
+    loss_s: float = setting(1.0, "give the signal up after so long below loss_dbhz [s]", low=0.1)
+    lock_threshold: float = setting(0.7, "cos(2 phase error) that declares phase lock [-]", low=0, high=1)
+    unlock_threshold: float = setting(0.35, "... and that ends it [-]", low=0, high=1)
+    max_extrapolation_s: float = setting(0.05, "aiding is extrapolated so far, then dropped [s]", low=0)
+    feedback_delay_ms: int = setting(100, "delay D after which an ephemeris takes effect [ms]", low=0)
+
+
+class BasebandWindow:
+    """The last samples of the complex baseband, contiguous: one block and what came before it."""
+
+    def __init__(self, history: int) -> None:
+        self.history = history
+        self.i: NDArray[np.int8] = np.zeros(0, np.int8)
+        self.q: NDArray[np.int8] = np.zeros(0, np.int8)
+        self.start = self.end = 0
+        self.noise = 1.0
+
+    def push(self, i: NDArray[np.int8], q: NDArray[np.int8], sample_index: int) -> bool:
+        """Append a block; returns False if it does not join on to the last one."""
+        joins = sample_index == self.end or self.end == self.start
+        kept = min(self.history, self.end - self.start) if joins else 0
+        size = kept + len(i)
+        if self.i.dtype != i.dtype or len(self.i) < size:
+            grown = np.zeros(self.history + len(i), i.dtype), np.zeros(self.history + len(i), i.dtype)
+            old = self.end - self.start
+            grown[0][:kept], grown[1][:kept] = self.i[old - kept : old], self.q[old - kept : old]
+            self.i, self.q = grown
+        else:
+            old = self.end - self.start
+            self.i[:kept], self.q[:kept] = self.i[old - kept : old], self.q[old - kept : old]
+        self.i[kept:size], self.q[kept:size] = i, q
+        self.start, self.end = sample_index - kept, sample_index + len(i)
+        step = max(1, len(i) // 4096)
+        sub_i, sub_q = i[::step].astype(np.float64), q[::step].astype(np.float64)
+        self.noise = max(1e-3, math.sqrt((sub_i @ sub_i + sub_q @ sub_q) / (2 * len(sub_i))))
+        return joins
+
+
+@dataclass
+class AidingSpan:
+    """Aiding of one satellite, joined over the last blocks."""
+
+    knots: FloatArray
+    rates: FloatArray
+    first: int = 0
+    step: int = 1
+    through: int = -1
+    valid: bool = False
+
+    @classmethod
+    def none(cls) -> AidingSpan:
+        """No aiding at all."""
+        return cls(np.zeros(0), np.zeros(0))
+
+    def extended(self, aiding: Aiding, satellite: str, keep: int) -> AidingSpan:
+        """Append the satellite's knots of ``aiding``, keeping at most ``keep`` older ones."""
+        if not aiding.valid or satellite not in aiding.satellites:
+            return AidingSpan(self.knots, self.rates, self.first, self.step, self.through, False)
+        row = aiding.satellites.index(satellite)
+        knots, rates = aiding.carrier_doppler_hz[row], aiding.carrier_doppler_rate[row]
+        if not (np.isfinite(knots).all() and np.isfinite(rates).all()):
+            return AidingSpan(self.knots, self.rates, self.first, self.step, self.through, False)
+        first, step = aiding.knot_sample_index, aiding.knot_step_samples
+        count = len(self.knots)
+        overlap = self.first + count * step - first if count else -1
+        if step == self.step and count and overlap % step == 0 and 0 <= overlap <= count * step:
+            old = count - overlap // step
+            low = max(0, old - keep)
+            knots = np.concatenate([self.knots[low:old], knots])
+            rates = np.concatenate([self.rates[low:old], rates])
+            first = self.first + low * step
+        return AidingSpan(knots, rates, first, step, aiding.valid_through, True)
+
+
+class Channel:
+    """One satellite from hand-over to observables.
+
+    Parameters
+    ----------
+    satellite : str
+        RINEX name.
+    sample_rate_hz : float
+        Sampling rate [Hz].
+    config : TrackingConfig
+        Settings.
+    reference_week : int
+        Full GPS week near the recording, to resolve the broadcast week's rollover.
+
+    Raises
+    ------
+    ValueError
+        A setting is out of range, or no stable loop has the bandwidth asked for.
+    """
+
+    def __init__(
+        self,
+        satellite: str,
+        sample_rate_hz: float,
+        config: TrackingConfig | None = None,
+        reference_week: int = 2200,
+    ) -> None:
+        self.satellite, self.config = satellite, config or TrackingConfig()
+        self.sample_rate_hz = sample_rate_hz
+        check(self.config)
+        self.bank = ReplicaBank(satellite, sample_rate_hz)
+        self.states = np.zeros(1, STATE)
+        self.configs = self._numbers()
+        self.out = np.zeros(64, EPOCH)
+        self.aiding = AidingSpan.none()
+        self.ephemeris_count = 0
+        self.reference_week = reference_week
+        self.decoder = LnavDecoder(satellite, reference_week)
+        self.subframes = 0
+        self.polarity_turns = 0
+        self.lost = 0
+
+    def _numbers(self) -> NDArray[np.void]:
+        config, numbers = self.config, np.zeros(1, CONFIG)
+        n = numbers[0]
+        period = config.integration_ms * 1e-3
+        realised = config.loop_design == "realised"
+
+        def gains(loop: LoopGains) -> tuple[float, float, float]:
+            return loop.k1, loop.k2, loop.k3
+
+        n["sample_rate"] = self.sample_rate_hz
+        n["spacing"] = self.bank.real_spacing_chips(config.spacing_chips)
+        n["tap_offset"] = self.bank.tap_offset(config.spacing_chips)
+        n["pull_in_epochs"], n["bit_sync_epochs"] = config.pull_in_ms, config.bit_sync_limit_ms
+        n["pull_gains"] = gains(design_loop(2, config.pull_in_bandwidth_hz, 1e-3))
+        n["fll_gain"] = 4 * 4.0 * 1e-3
+        n["track_gains"] = gains(
+            design_loop(config.pll_order, config.pll_bandwidth_hz, period, realised=realised)
+        )
+        n["aided_gains"] = gains(
+            design_loop(config.aided_order, config.aided_bandwidth_hz, period, realised=realised)
+        )
+        n["dll_gain"] = design_loop(1, config.dll_bandwidth_hz, period).k1
+        n["dll_fast_gain"] = design_loop(1, 4.0, 1e-3).k1
+        n["lock_threshold"], n["unlock_threshold"] = config.lock_threshold, config.unlock_threshold
+        n["code_lock_dbhz"], n["loss_dbhz"] = config.code_lock_dbhz, config.loss_dbhz
+        n["loss_s"], n["periods"] = config.loss_s, config.integration_ms
+        n["max_extrapolation_s"] = config.max_extrapolation_s
+        return numbers
+
+    @property
+    def mode(self) -> TrackingMode:
+        """What the channel is doing."""
+        return TrackingMode(int(self.states["mode"][0]))
+
+    def hand_over(self, result: AcquisitionResult) -> None:
+        """Start pulling in at ``result.effective_sample_index``."""
+        state = self.states[0]
+        carrier_phase = float(state["carrier_phase"])
+        flags = int(state["pending_flags"])
+        self.states[:] = np.zeros(1, STATE)
+        rate = CA_RATE_CPS * (1 + result.carrier_doppler_hz / L1_HZ) / self.sample_rate_hz
+        gap = result.effective_sample_index - result.sample_index
+        phase = (result.code_phase_chips + gap * rate) % CA_LENGTH
+        wait = math.ceil((CA_LENGTH - phase) / rate)
+        state["mode"] = TrackingMode.PULL_IN
+        state["next_sample"] = result.effective_sample_index + wait
+        state["code_phase"] = phase + wait * rate - CA_LENGTH
+        state["carrier_phase"] = math.floor(carrier_phase)
+        state["slope_hz"] = state["nco_hz"] = result.carrier_doppler_hz
+        state["bit_offset"] = state["transmit_ms"] = -1
+        state["narrow_wide"] = -1.0
+        state["cn0"] = result.cn0_dbhz
+        state["code_lock"] = 1
+        state["power"] = 10 ** (result.cn0_dbhz / 10)
+        state["pending_flags"] = flags | TrackingFlag.SLIP
+        self.decoder = LnavDecoder(self.satellite, self.reference_week)
+
+    def drop(self, flag: TrackingFlag) -> None:
+        """Give the signal up, e.g. because samples are missing."""
+        if self.mode != TrackingMode.IDLE:
+            self.lost += 1
+            self.states["mode"] = TrackingMode.IDLE
+            self.states["pending_flags"] |= int(flag | TrackingFlag.SLIP)
+
+    def aid(self, aiding: Aiding) -> None:
+        """Take the aiding of the next block."""
+        keep = 3 * max(1, aiding.knot_count)
+        self.aiding = self.aiding.extended(aiding, self.satellite, keep)
+
+    def aid_missing(self, through: int) -> None:
+        """No aiding came in time for samples up to ``through``: extrapolate, or drop it."""
+        age = (through - self.aiding.through) / self.sample_rate_hz
+        if age > self.config.max_extrapolation_s:
+            self.aiding.valid = False
+
+    def advance(
+        self, window: BasebandWindow, block_sample_index: int, valid_through: int
+    ) -> tuple[TrackingEpochs, list[Ephemeris]]:
+        """Run every integration that ends in the window.
+
+        Parameters
+        ----------
+        window : BasebandWindow
+            Samples up to the end of the block.
+        block_sample_index : int
+            First sample of the block.
+        valid_through : int
+            What to promise if the channel is idle.
+
+        Returns
+        -------
+        TrackingEpochs, list of Ephemeris
+            The block's integrations, and ephemerides completed in it.
+        """
+        self.states["noise"] = window.noise
+        was_active = self.mode != TrackingMode.IDLE
+        aiding = self.aiding
+        count = channel_kernel.advance(
+            self.states,
+            self.configs,
+            window.i,
+            window.q,
+            window.start,
+            window.end,
+            self.bank.rows,
+            self.bank.chips_per_sample,
+            aiding.valid,
+            aiding.knots,
+            aiding.rates,
+            aiding.first,
+            aiding.step,
+            aiding.through,
+            self.out,
+        )
+        rows = self.out[:count]
+        ephemerides = self._navigation(rows)
+        if self.mode == TrackingMode.IDLE:
+            self.lost += was_active
+        else:
+            valid_through = int(self.states["next_sample"][0]) - 1
+        columns = {name: rows[name].copy() for name in EPOCH_FIELDS}
+        epochs = TrackingEpochs(
+            satellite=self.satellite,
+            block_sample_index=block_sample_index,
+            valid_through=valid_through,
+            ephemeris_count=self.ephemeris_count,
+            mode=int(self.mode),
+            **columns,
+        )
+        return epochs, ephemerides
+
+    def _navigation(self, rows: NDArray[np.void]) -> list[Ephemeris]:
+        """Feed data bits to the decoder and apply what it finds to the channel's state."""
+        aligned = rows[rows["bits_aligned"] == 1]
+        if not len(aligned):
+            return []
+        found: list[Ephemeris] = []
+        per_bit = 20 // self.config.integration_ms
+        if per_bit > 1:
+            raise ValueError("integration_ms below 20 is not decoded")
+        offset = int(aligned["period"][0] % 20)
+        first_bit = int((aligned["period"][0] - offset) // 20)
+        delay = int(self.config.feedback_delay_ms * 1e-3 * self.sample_rate_hz)
+        for event in self.decoder.push(aligned["prompt_i"], first_bit):
+            self._apply(event, offset)
+            if event.ephemeris is not None:
+                self.ephemeris_count += 1
+                end = int(aligned["sample_index"][-1] + aligned["sample_count"][-1]) + delay
+                found.append(_with_effect(event.ephemeris, end))
+        return found
+
+    def _apply(self, event: object, offset: int) -> None:
+        raise NotImplementedError
+
+
+def _with_effect(ephemeris: Ephemeris, sample_index: int) -> Ephemeris:
+    from dataclasses import replace
+
+    return replace(ephemeris, effective_sample_index=sample_index)
+
+
+def satellites_of(names: Sequence[str]) -> tuple[str, ...]:
+    """Check satellite names and put them in order."""
+    return tuple(sorted(set(names)))

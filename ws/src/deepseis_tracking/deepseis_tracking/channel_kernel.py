@@ -1,0 +1,462 @@
+"""One channel through the samples at hand: NCOs, correlators, discriminators, filters, locks.
+
+Everything here is compiled and works on the records of `channel_state`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from deepseis_core.constants import CA_RATE_CPS, CA_LENGTH, L1_HZ
+from deepseis_tracking.correlator import CARRIER_GROUP, correlate_period
+from deepseis_tracking.discriminators import costas_atan, dll_envelope, frequency_error
+from deepseis_tracking.replica import MARGIN
+
+IDLE, PULL_IN, BIT_SYNC, TRACK, TRACK_AIDED = 0, 1, 2, 3, 4
+CODE_LOCK, PHASE_LOCK, BIT_SYNCED, POLARITY_KNOWN, SLIP = 1, 2, 4, 8, 16
+AID_MISSED, AID_DIVERGED = 64, 128
+CARRIER_TO_CODE = CA_RATE_CPS / L1_HZ
+PERIOD_S = 1e-3
+
+
+@njit(cache=True, nogil=True)
+def aid_at(
+    sample: float, knots: np.ndarray, rates: np.ndarray, first: int, step: int, rate_hz: float
+) -> float:
+    """Aiding Doppler at a sample [Hz]: cubic Hermite between knots, a line beyond the last."""
+    position = (sample - first) / step
+    last = knots.shape[0] - 1
+    if position >= last:
+        return knots[last] + rates[last] * (sample - first - last * step) / rate_hz
+    if position <= 0.0:
+        return knots[0] + rates[0] * (sample - first) / rate_hz
+    index = int(position)
+    x = position - index
+    span = step / rate_hz
+    x2, x3 = x * x, x * x * x
+    return (
+        (2 * x3 - 3 * x2 + 1) * knots[index]
+        + (x3 - 2 * x2 + x) * span * rates[index]
+        + (3 * x2 - 2 * x3) * knots[index + 1]
+        + (x3 - x2) * span * rates[index + 1]
+    )
+
+
+@njit(cache=True, nogil=True)
+def update_locks(state: Any, config: Any, i: float, q: float, duration: float) -> None:
+    """Low-pass the lock detectors and apply their hysteresis; ``i``, ``q`` in noise sigmas."""
+    alpha = min(1.0, duration / 0.25)
+    power = i * i + q * q - 2.0
+    state.lock_num += alpha * (i * i - q * q - state.lock_num)
+    state.lock_den += alpha * (power - state.lock_den)
+    state.power += alpha * (power / (2.0 * duration) - state.power)
+    indicator = state.lock_num / max(state.lock_den, 0.5)
+    if state.phase_lock == 0 and indicator > config.lock_threshold and state.mode_epochs > 3:
+        state.phase_lock = 1
+    elif state.phase_lock == 1 and indicator < config.unlock_threshold:
+        state.phase_lock = 0
+    fast_cn0 = 10.0 * math.log10(max(state.power, 1.0))
+    if state.code_lock == 0 and fast_cn0 > config.code_lock_dbhz:
+        state.code_lock = 1
+    elif state.code_lock == 1 and fast_cn0 < config.loss_dbhz:
+        state.code_lock = 0
+    if state.narrow_wide < 0.0:
+        state.cn0 = fast_cn0
+    state.weak_s = 0.0 if state.code_lock == 1 else state.weak_s + duration
+    state.unlocked_s = 0.0 if state.phase_lock == 1 else state.unlocked_s + duration
+
+
+@njit(cache=True, nogil=True)
+def update_cn0(state: Any, prompts: np.ndarray) -> None:
+    """Narrow-to-wide power ratio over one data bit, averaged 1 s (Van Dierendonck 1996)."""
+    count = prompts.shape[0]
+    total_i, total_q, wide, cross_i, cross_q = 0.0, 0.0, 0.0, 0.0, 0.0
+    for m in range(count):
+        i, q = prompts[m, 0], prompts[m, 1]
+        total_i += i
+        total_q += q
+        wide += i * i + q * q
+        if m > 0:
+            cross_i += i * prompts[m - 1, 0] + q * prompts[m - 1, 1]
+            cross_q += q * prompts[m - 1, 0] - i * prompts[m - 1, 1]
+    duration = count * PERIOD_S
+    state.cross_i += min(1.0, duration / 0.4) * (cross_i - state.cross_i)
+    state.cross_q += min(1.0, duration / 0.4) * (cross_q - state.cross_q)
+    ratio = (total_i * total_i + total_q * total_q) / wide
+    if state.narrow_wide < 0.0:
+        state.narrow_wide = ratio
+    state.narrow_wide += max(duration, 1.0 / (2.0 + state.mode_epochs)) * (
+        ratio - state.narrow_wide
+    )
+    mean = min(max(state.narrow_wide, 1.0 + 1e-3), count - 1e-3)
+    state.cn0 = 10.0 * math.log10((mean - 1.0) / (count - mean) / PERIOD_S)
+
+
+@njit(cache=True, nogil=True)
+def filter_carrier(
+    state: Any, error: float, k1: float, k2: float, k3: float, period: float
+) -> None:
+    """One step of the loop filter (`loop_filter`): error in cycles, output ``nco_hz``."""
+    accel = state.accel + k3 * error
+    slope = state.slope_hz + k2 * error + 0.5 * period * (state.accel + accel)
+    state.nco_hz = 0.5 * (state.slope_hz + slope) + k1 * error
+    state.slope_hz = slope
+    state.accel = accel
+
+
+@njit(cache=True, nogil=True)
+def search_bit_edge(state: Any, i: float, q: float) -> int:
+    """Energy of 20 ms sums at each of the 20 offsets; the edge (0..19) once it is clear, or -1."""
+    slot = state.period_count % 20
+    state.recent_i[slot] = i
+    state.recent_q[slot] = q
+    if state.mode_epochs < 20:
+        return -1
+    sum_i, sum_q = 0.0, 0.0
+    for m in range(20):
+        sum_i += state.recent_i[m]
+        sum_q += state.recent_q[m]
+    edge = (slot + 1) % 20
+    state.bit_energy[edge] += sum_i * sum_i + sum_q * sum_q - 40.0
+    if state.mode_epochs < 400 or state.mode_epochs % 20 != 0:
+        return -1
+    best = 0
+    for m in range(1, 20):
+        if state.bit_energy[m] > state.bit_energy[best]:
+            best = m
+    left, right = state.bit_energy[(best + 19) % 20], state.bit_energy[(best + 1) % 20]
+    bits = state.mode_epochs / 20.0
+    top = state.bit_energy[best] / bits
+    # A 20 ms sum of amplitude a (in sigmas of 1 ms, so noise power 40) has power variance
+    # 80 a^2 + 1600; neighbouring offsets share 19 of 20 periods, hence a tenth of it differs.
+    spread = math.sqrt(max(80.0 * top + 1600.0, 1.0) * 0.1 / bits)
+    if top - max(left, right) / bits > 4.0 * spread and top - max(left, right) / bits > 0.03 * top:
+        return best
+    return -1
+
+
+@njit(cache=True, nogil=True)
+def _start_mode(state: Any, mode: int) -> None:
+    state.mode = mode
+    state.mode_epochs = 0
+    if mode == BIT_SYNC:
+        state.bit_energy[:] = 0.0
+    if mode == TRACK:
+        state.lock_num = 0.0
+        state.lock_den = 0.0
+        state.phase_lock = 0
+        state.narrow_wide = -1.0
+        state.cross_i = 0.0
+        state.cross_q = 0.0
+
+
+@njit(cache=True, nogil=True)
+def _restart(state: Any, residual_hz: float) -> None:
+    """Back to pull-in where the signal still is; transmit time survives, bit edges too."""
+    _start_mode(state, PULL_IN)
+    state.slope_hz += residual_hz
+    state.nco_hz = state.slope_hz
+    state.accel = 0.0
+    state.phase_lock = 0
+    state.unlocked_s = 0.0
+    state.polarity = 0
+    state.pending_flags |= SLIP
+
+
+@njit(cache=True, nogil=True)
+def _after_integration(
+    state: Any, config: Any, row: Any, sums: np.ndarray, shift: float, seconds: float
+) -> None:
+    """Discriminators, filters, mode changes after one integration; fills ``row``."""
+    periods = row.periods
+    scale = 1.0 / (state.noise * math.sqrt(row.sample_count))
+    i, q = sums[2] * scale, sums[3] * scale
+    period = periods * PERIOD_S
+    error = costas_atan(i, q)
+    early = math.hypot(sums[0], sums[1])
+    late = math.hypot(sums[4], sums[5])
+    code_error = dll_envelope(early, late, config.spacing) - shift
+    tracking = state.mode >= TRACK
+    row.early_i, row.early_q = sums[0] * scale, sums[1] * scale
+    row.prompt_i, row.prompt_q = i, q
+    row.late_i, row.late_q = sums[4] * scale, sums[5] * scale
+    row.carrier_error_cycles = error
+    row.code_error_chips = code_error
+    update_locks(state, config, i, q, period)
+    if tracking:
+        gains = config.aided_gains if state.mode == TRACK_AIDED else config.track_gains
+        filter_carrier(state, error, gains[0], gains[1], gains[2], period)
+        state.code_slope = config.dll_gain * code_error
+        if abs(error) > 0.2 and state.phase_lock == 1:
+            state.pending_flags |= SLIP
+    else:
+        if state.mode == PULL_IN and state.mode_epochs > 0:
+            drift = frequency_error(i, q, state.last_i, state.last_q, period)
+            state.slope_hz += config.fll_gain * drift
+        filter_carrier(
+            state, error, config.pull_gains[0], config.pull_gains[1], config.pull_gains[2], period
+        )
+        state.code_slope = config.dll_fast_gain * code_error
+    state.last_i, state.last_q = i, q
+    row.cn0_dbhz = state.cn0
+    row.phase_lock_indicator = state.lock_num / max(state.lock_den, 0.5)
+    flags = row.flags | state.pending_flags
+    state.pending_flags = 0
+    if state.code_lock == 1:
+        flags |= CODE_LOCK
+    if state.phase_lock == 1:
+        flags |= PHASE_LOCK
+    else:
+        flags |= SLIP
+    if state.bit_offset >= 0:
+        flags |= BIT_SYNCED
+    if state.polarity != 0:
+        flags |= POLARITY_KNOWN
+    row.flags = flags
+    state.mode_epochs += 1
+
+
+@njit(cache=True, nogil=True)
+def _change_mode(state: Any, config: Any, i: float, q: float, period_of_row: int) -> None:
+    """Decide what the channel does next."""
+    at_edge = state.bit_offset >= 0 and state.period_count % 20 == state.bit_offset
+    if state.mode == PULL_IN and state.mode_epochs >= config.pull_in_epochs:
+        state.nco_hz = state.slope_hz
+        _start_mode(state, BIT_SYNC)
+    elif state.mode == BIT_SYNC:
+        if state.bit_offset >= 0:
+            if state.mode_epochs >= 60 and at_edge:
+                state.nco_hz = state.slope_hz
+                state.accel = 0.0
+                _start_mode(state, TRACK)
+        else:
+            count = state.period_count
+            state.period_count = period_of_row
+            edge = search_bit_edge(state, i, q)
+            state.period_count = count
+            if edge >= 0:
+                state.bit_offset = edge
+            elif state.mode_epochs >= config.bit_sync_epochs:
+                _restart(state, 0.0)
+    elif state.mode >= TRACK:
+        residual = math.atan2(state.cross_q, state.cross_i) / (2.0 * math.pi * PERIOD_S)
+        if state.mode_epochs > 25 and abs(residual) > 12.0 and state.phase_lock == 0:
+            _restart(state, residual)
+        elif state.unlocked_s > 1.5:
+            _restart(state, 0.0)
+    if state.weak_s > config.loss_s:
+        state.mode = IDLE
+        state.pending_flags |= SLIP
+        state.bit_offset = -1
+        state.transmit_ms = -1
+        state.polarity = 0
+
+
+@njit(cache=True, nogil=True)
+def switch_aiding(state: Any, on: bool, aid_hz: float, aid_rate: float) -> None:
+    """Begin or end aiding without a bump: the total frequency and its rate stay.
+
+    With aiding on, the frequency integrator holds what the aiding does not explain: the clock.
+    """
+    if on and state.mode == TRACK:
+        state.mode = TRACK_AIDED
+        state.slope_hz -= aid_hz
+        state.nco_hz -= aid_hz
+        state.accel = 0.0
+    elif not on and state.mode == TRACK_AIDED:
+        state.mode = TRACK
+        state.slope_hz += aid_hz
+        state.nco_hz += aid_hz
+        state.accel = aid_rate
+
+
+@njit(cache=True, nogil=True)
+def _plan_nco(
+    state: Any,
+    config: Any,
+    row: Any,
+    use_aid: bool,
+    knots: np.ndarray,
+    rates: np.ndarray,
+    knot_first: int,
+    knot_step: int,
+    aid_through: int,
+    duration: float,
+) -> None:
+    """NCO polynomial of the coming integration: aiding as a parabola, plus the loop's output."""
+    rate_hz = config.sample_rate
+    row.aid_doppler_hz = np.nan
+    row.aid_age_s = 0.0
+    start = float(state.next_sample)
+    row.carrier_doppler_rate = 0.0
+    row.carrier_doppler_accel = 0.0
+    if not use_aid:
+        row.carrier_doppler_hz = state.nco_hz
+        return
+    length = duration * rate_hz
+    first = aid_at(start, knots, rates, knot_first, knot_step, rate_hz)
+    middle = aid_at(start + 0.5 * length, knots, rates, knot_first, knot_step, rate_hz)
+    last = aid_at(start + length, knots, rates, knot_first, knot_step, rate_hz)
+    row.aid_doppler_hz = first
+    row.aid_age_s = max(0.0, (start + length - 2.0 - aid_through) / rate_hz)
+    row.carrier_doppler_hz = state.nco_hz + first
+    row.carrier_doppler_rate = (-3.0 * first + 4.0 * middle - last) / duration
+    row.carrier_doppler_accel = 2.0 * (first - 2.0 * middle + last) / (duration * duration)
+
+
+@njit(cache=True, nogil=True)
+def advance(
+    states: np.ndarray,
+    configs: np.ndarray,
+    baseband_i: np.ndarray,
+    baseband_q: np.ndarray,
+    buffer_start: int,
+    buffer_end: int,
+    rows: np.ndarray,
+    chips_per_sample: float,
+    aid_valid: bool,
+    knots: np.ndarray,
+    rates: np.ndarray,
+    knot_first: int,
+    knot_step: int,
+    aid_through: int,
+    out: np.ndarray,
+) -> int:
+    """Run every integration that ends inside the buffer.
+
+    Parameters
+    ----------
+    states, configs : ndarray of STATE and CONFIG, shape (1,)
+        The channel; the state is changed in place.
+    baseband_i, baseband_q : ndarray of int8 or int16
+        Samples ``buffer_start`` (inclusive) to ``buffer_end`` (exclusive).
+    rows, chips_per_sample
+        The satellite's `replica.ReplicaBank`.
+    aid_valid, knots, rates, knot_first, knot_step, aid_through
+        Aiding Doppler [Hz] and rate [Hz/s] at uniform knots; ``aid_through`` is the last sample
+        they were made for.
+    out : ndarray of EPOCH, shape (n,)
+        Room for the integrations.
+
+    Returns
+    -------
+    int
+        Integrations done.
+    """
+    state, config = states[0], configs[0]
+    phase_steps = rows.shape[0]
+    sums = np.zeros(6)
+    prompts = np.zeros((config.periods, 2))
+    tap_rows, tap_columns = np.zeros(3, np.int64), np.zeros(3, np.int64)
+    cosine, minus_sine = np.empty(CARRIER_GROUP, np.float32), np.empty(CARRIER_GROUP, np.float32)
+    done = 0
+    while state.mode != IDLE and done < out.shape[0]:
+        periods = config.periods if state.mode >= TRACK else 1
+        needed = int(periods * PERIOD_S * config.sample_rate) + 3
+        if state.next_sample + needed > buffer_end or state.next_sample < buffer_start:
+            break
+        row = out[done]
+        done += 1
+        duration = periods * PERIOD_S
+        row.flags = 0
+        switch_flag = aid_valid and state.phase_lock == 1 and state.mode_epochs > 10
+        if state.mode == TRACK and switch_flag:
+            here = aid_at(
+                float(state.next_sample), knots, rates, knot_first, knot_step, config.sample_rate
+            )
+            switch_aiding(state, True, here, 0.0)
+        elif state.mode == TRACK_AIDED and not aid_valid:
+            row.flags |= AID_MISSED
+            if knots.shape[0] > 1:
+                here = aid_at(
+                    float(state.next_sample),
+                    knots,
+                    rates,
+                    knot_first,
+                    knot_step,
+                    config.sample_rate,
+                )
+                switch_aiding(state, False, here, 0.0)
+            else:
+                _restart(state, 0.0)
+                done -= 1
+                continue
+        use_aid = state.mode == TRACK_AIDED
+        _plan_nco(
+            state,
+            config,
+            row,
+            use_aid,
+            knots,
+            rates,
+            knot_first,
+            knot_step,
+            aid_through,
+            duration,
+        )
+        f0, f1, f2 = row.carrier_doppler_hz, row.carrier_doppler_rate, row.carrier_doppler_accel
+        phase0 = state.carrier_phase
+        row.sample_index = state.next_sample
+        row.transmit_ms = state.transmit_ms
+        row.code_phase_chips = state.code_phase
+        row.carrier_phase_cycles = phase0
+        row.period = state.period_count
+        row.periods = periods
+        row.bits_aligned = 1 if state.mode >= TRACK else 0
+        sums[:] = 0.0
+        code_phase = state.code_phase
+        samples, shift, tau = 0, 0.0, 0.0
+        for m in range(periods):
+            mean_f = f0 + f1 * (tau + 0.5e-3) + f2 * (tau + 0.5e-3) ** 2
+            code_rate = CA_RATE_CPS + mean_f * CARRIER_TO_CODE + state.code_slope
+            chips = code_rate / config.sample_rate
+            count = int(math.ceil((CA_LENGTH - code_phase) / chips))
+            tau_end = (samples + count) / config.sample_rate
+            phase = phase0 + tau * (f0 + tau * (0.5 * f1 + tau * f2 / 3.0))
+            phase_end = phase0 + tau_end * (f0 + tau_end * (0.5 * f1 + tau_end * f2 / 3.0))
+            wanted = code_phase + 0.5 * count * (chips - chips_per_sample)
+            step = int(round(wanted / chips_per_sample * phase_steps))
+            shift += wanted - step * chips_per_sample / phase_steps
+            for tap in range(3):
+                tap_step = step + (1 - tap) * config.tap_offset
+                tap_rows[tap] = tap_step % phase_steps
+                tap_columns[tap] = MARGIN + tap_step // phase_steps
+            before_i, before_q = sums[2], sums[3]
+            correlate_period(
+                baseband_i,
+                baseband_q,
+                state.next_sample + samples - buffer_start,
+                count,
+                rows,
+                tap_rows,
+                tap_columns,
+                phase,
+                (phase_end - phase) / count,
+                cosine,
+                minus_sine,
+                sums,
+            )
+            prompts[m, 0], prompts[m, 1] = sums[2] - before_i, sums[3] - before_q
+            code_phase += count * chips - CA_LENGTH
+            samples += count
+            tau = tau_end
+        seconds = samples / config.sample_rate
+        row.sample_count = samples
+        row.code_rate_cps = (
+            code_phase + periods * CA_LENGTH - state.code_phase
+        ) / seconds
+        state.code_phase = code_phase
+        state.carrier_phase = phase0 + seconds * (f0 + seconds * (0.5 * f1 + seconds * f2 / 3.0))
+        state.next_sample += samples
+        state.period_count += periods
+        if state.transmit_ms >= 0:
+            state.transmit_ms = (state.transmit_ms + periods) % 604_800_000
+        if state.mode >= TRACK:
+            update_cn0(state, prompts[:periods])
+        _after_integration(state, config, row, sums, shift / periods, seconds)
+        _change_mode(state, config, row.prompt_i, row.prompt_q, row.period)
+    return done

@@ -1,0 +1,1 @@
+"""The nodes of deepseis_tracking: thin shells around its algorithms."""

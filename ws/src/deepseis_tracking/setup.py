@@ -1,0 +1,43 @@
+"""Install deepseis_tracking."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+PACKAGE = "deepseis_tracking"
+
+
+def shared_files() -> list[tuple[str, list[str]]]:
+    """List launch, parameter and scenario files for share/deepseis_tracking."""
+    folders: dict[str, list[str]] = {}
+    for folder in ("launch", "config", "scenarios"):
+        for path in sorted(Path(folder).rglob("*.*")):
+            folders.setdefault(f"share/{PACKAGE}/{path.parent}", []).append(str(path))
+    return list(folders.items())
+
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Acquisition, correlators, aided tracking loops, navigation data.",
+    license="Apache-2.0",
+    maintainer="DeepSeis developers",
+    maintainer_email="deepseis@posteo.net",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    package_data={"": ["py.typed", "*.yaml", "*.csv", "*.txt", "*.json"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        *shared_files(),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "acquisition = deepseis_tracking.nodes.acquisition:main",
+            "tracker = deepseis_tracking.nodes.tracker:main",
+            "tracker_container = deepseis_tracking.nodes.tracker_container:main",
+        ],
+    },
+)
