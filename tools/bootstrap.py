@@ -99,7 +99,9 @@ def build_inputs() -> Iterator[tuple[str, bytes]]:
 
 def interfaces(package: Path) -> list[Path]:
     """List the message, service and action files of a package."""
-    return sorted(path for kind in ("msg", "srv", "action") for path in package.glob(f"{kind}/*.{kind}"))
+    return sorted(
+        path for kind in ("msg", "srv", "action") for path in package.glob(f"{kind}/*.{kind}")
+    )
 
 
 def build_digest() -> str:
@@ -167,7 +169,7 @@ def set_up() -> dict[str, str]:
 
 @contextmanager
 def exclusively() -> Iterator[None]:
-    """Hold the checkout's set-up lock; the kernel drops it when the process ends."""
+    """Hold the checkout's set-up lock; freed when this process and its tools have ended."""
     BUILD.mkdir(exist_ok=True)
     with (BUILD / "lock").open("w") as file:
         try:
@@ -175,6 +177,7 @@ def exclusively() -> Iterator[None]:
         except BlockingIOError:
             say("another start is setting up, waiting for it")
             fcntl.flock(file, fcntl.LOCK_EX)
+        os.set_inheritable(file.fileno(), True)  # a killed start may leave pip or colcon running
         yield
 
 
@@ -187,7 +190,9 @@ def make_venv() -> None:
     if not whole:
         say(f"making .venv with Python {sys.version_info.major}.{sys.version_info.minor}")
         shutil.rmtree(VENV, ignore_errors=True)
-        call([sys.executable, "-I", "-m", "venv", str(VENV)], "cannot make the virtual environment")
+        call(
+            [sys.executable, "-I", "-m", "venv", str(VENV)], "cannot make the virtual environment"
+        )
     VENV_STAMP.unlink(missing_ok=True)
     install_packages()
     make_underlay()
@@ -197,7 +202,11 @@ def make_venv() -> None:
 
 def install_packages() -> None:
     """Install every pin, and remove what is no longer one."""
-    pins = {normalised(line.partition("==")[0]) for line in LOCK.read_text().splitlines() if "==" in line}
+    pins = {
+        normalised(line.partition("==")[0])
+        for line in LOCK.read_text().splitlines()
+        if "==" in line
+    }
     say(f"installing {len(pins)} packages of requirements.lock")
     seen = 0
 
@@ -211,7 +220,16 @@ def install_packages() -> None:
             say("  unpacking")
 
     pip = [str(PYTHON), "-m", "pip", "--disable-pip-version-check", "--no-input"]
-    install = [*pip, "install", "--no-deps", "--no-compile", "--progress-bar", "off", "-r", str(LOCK)]
+    install = [
+        *pip,
+        "install",
+        "--no-deps",
+        "--no-compile",
+        "--progress-bar",
+        "off",
+        "-r",
+        str(LOCK),
+    ]
     call(install, "cannot install the packages (is there a network?)", progress)
     installed = site_packages().glob("*.dist-info/RECORD")  # not what ROS wheels merely contain
     names = {normalised(path.parent.name.partition("-")[0]) for path in installed}
@@ -223,8 +241,10 @@ def install_packages() -> None:
 
 def make_underlay() -> None:
     """Give the virtual environment the set-up files that colcon expects of an underlay."""
-    # The wheels' own start-up code finds these and starts Python a second time; the guard spares that.
-    libraries = ":".join([str(VENV / "lib"), *sorted(map(str, site_packages().glob("ros_*.libs")))])
+    # The wheels' own start-up code finds these and starts Python again; the guard spares that.
+    libraries = ":".join(
+        [str(VENV / "lib"), *sorted(map(str, site_packages().glob("ros_*.libs")))]
+    )
     for name in ("setup.sh", "setup.bash", "local_setup.sh", "local_setup.bash"):
         write_text(VENV / name, UNDERLAY.format(name=name, venv=VENV, libraries=libraries))
 
@@ -261,9 +281,22 @@ def colcon() -> list[str]:
         "BUILD_TESTING": "OFF",
         "Python3_EXECUTABLE": PYTHON,
     }
-    cmake = ["-G", "Ninja", "--no-warn-unused-cli", *(f"-D{k}={v}" for k, v in definitions.items())]
+    cmake = [
+        "-G",
+        "Ninja",
+        "--no-warn-unused-cli",
+        *(f"-D{k}={v}" for k, v in definitions.items()),
+    ]
     return [
-        *(str(PYTHON), "-m", "colcon", "--log-base", str(BUILD / "log"), "build", "--symlink-install"),
+        *(
+            str(PYTHON),
+            "-m",
+            "colcon",
+            "--log-base",
+            str(BUILD / "log"),
+            "build",
+            "--symlink-install",
+        ),
         *("--base-paths", str(SOURCES), "--build-base", str(BUILD / "build")),
         *("--install-base", str(BUILD / "install"), "--event-handlers", "console_cohesion+"),
         *("--cmake-args", *cmake),
@@ -283,7 +316,17 @@ def forget_removed_interfaces() -> None:
 
 def clean_environment() -> dict[str, str]:
     """Keep of the caller's environment what has nothing to do with ROS or Python."""
-    foreign = ("AMENT_", "CMAKE_PREFIX", "COLCON_", "ROS_", "RMW_", "PYTHON", "LD_LIBRARY", "VIRTUAL_ENV", "_ROS_")
+    foreign = (
+        "AMENT_",
+        "CMAKE_PREFIX",
+        "COLCON_",
+        "ROS_",
+        "RMW_",
+        "PYTHON",
+        "LD_LIBRARY",
+        "VIRTUAL_ENV",
+        "_ROS_",
+    )
     environment = {k: v for k, v in os.environ.items() if not k.startswith(foreign)}
     path = environment.get("PATH", os.defpath).split(":")
     environment["PATH"] = ":".join(p for p in path if not p.startswith(("/opt/ros", str(ROOT))))
@@ -292,14 +335,17 @@ def clean_environment() -> dict[str, str]:
 
 def underlay_environment() -> dict[str, str]:
     """Return the environment after the underlay's setup.bash."""
-    return source(VENV / "setup.bash")
+    # With MAKEFLAGS set, colcon does not hold compilers back on a machine that does other work too.
+    return source(VENV / "setup.bash") | {"MAKEFLAGS": f"-j{os.cpu_count() or 2}"}
 
 
 def sourced_environment() -> dict[str, str]:
     """Return the variables that the workspace's setup.bash sets, sources first on PYTHONPATH."""
     before = clean_environment()
     after = source(BUILD / "install" / "setup.bash")
-    changed = {k: v for k, v in after.items() if before.get(k) != v and k not in ("_", "PWD", "SHLVL")}
+    changed = {
+        k: v for k, v in after.items() if before.get(k) != v and k not in ("_", "PWD", "SHLVL")
+    }
     changed["PATH"] = changed["PATH"].removesuffix(":" + before["PATH"])
     packages = sorted(str(path.parent) for path in SOURCES.glob("*/setup.py"))
     changed["PYTHONPATH"] = ":".join([*packages, changed["PYTHONPATH"]])
@@ -339,6 +385,7 @@ def call(
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
+            close_fds=False,
         )
         try:
             for line in process.stdout or ():

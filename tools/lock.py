@@ -11,7 +11,9 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-HEADER = "# Exact versions for Python 3.11 and 3.12 on x86-64, from requirements.in by tools/lock.py.\n"
+HEADER = (
+    "# Exact versions for Python 3.11 and 3.12 on x86-64, from requirements.in by tools/lock.py.\n"
+)
 
 
 def main() -> None:
@@ -23,7 +25,9 @@ def main() -> None:
         options = ["--dry-run", "--ignore-installed", "--report", str(report), *sys.argv[1:]]
         subprocess.run([*pip, *options, "-r", str(ROOT / "requirements.in")], check=True)
         chosen = [item["metadata"] for item in json.loads(report.read_text())["install"]]
-    pins = sorted(f"{item['name'].lower().replace('_', '-')}=={item['version']}" for item in chosen)
+    pins = sorted(
+        f"{item['name'].lower().replace('_', '-')}=={item['version']}" for item in chosen
+    )
     (ROOT / "requirements.lock").write_text(HEADER + "\n".join(pins) + "\n")
 
 

@@ -19,7 +19,7 @@ def shared_files() -> list[tuple[str, list[str]]]:
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="The graph, launch and parameter files, recorder, replay, reports and the deepseis command.",
+    description="The graph, its parameters, recorder, replay, reports and the deepseis command.",
     license="Apache-2.0",
     maintainer="DeepSeis developers",
     maintainer_email="deepseis@posteo.net",

@@ -19,7 +19,7 @@ def shared_files() -> list[tuple[str, list[str]]]:
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="Constants, time, frames, signals, orbits, geometry and error models that every DeepSeis package shares.",
+    description="What every DeepSeis package shares: time, frames, signals, orbits, errors.",
     license="Apache-2.0",
     maintainer="DeepSeis developers",
     maintainer_email="deepseis@posteo.net",

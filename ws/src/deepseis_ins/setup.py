@@ -19,7 +19,7 @@ def shared_files() -> list[tuple[str, list[str]]]:
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="Strapdown mechanisation, GNSS/INS filters and smoothers, aiding of the tracking loops.",
+    description="Strapdown mechanisation, GNSS/INS filters, aiding of the tracking loops.",
     license="Apache-2.0",
     maintainer="DeepSeis developers",
     maintainer_email="deepseis@posteo.net",

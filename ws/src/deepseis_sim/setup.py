@@ -19,7 +19,7 @@ def shared_files() -> list[tuple[str, list[str]]]:
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="Test bench: earthquakes, trajectories, IMU errors, constellation and IF synthesis.",
+    description="Test bench: earthquakes, IMU errors, constellation and IF synthesis.",
     license="Apache-2.0",
     maintainer="DeepSeis developers",
     maintainer_email="deepseis@posteo.net",

@@ -33,7 +33,7 @@ def steps() -> dict[str, list[str]]:
     return {
         "ruff check": ["ruff", "check", "."],
         "ruff format": ["ruff", "format", "--check", "."],
-        "lint-imports": ["lint-imports", "--no-timings"],
+        "lint-imports": ["lint-imports"],
         "mypy": mypy,
     }
 
@@ -61,7 +61,9 @@ def check() -> bool:
             text=True,
         )
         failed = result.returncode != 0
-        typer.echo(f"{name:<14}{'FAILED' if failed else 'ok':<8}{time.monotonic() - started:.1f} s")
+        typer.echo(
+            f"{name:<14}{'FAILED' if failed else 'ok':<8}{time.monotonic() - started:.1f} s"
+        )
         if failed:
             typer.echo(result.stdout.rstrip())
         passed = passed and not failed

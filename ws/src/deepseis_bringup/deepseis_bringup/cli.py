@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 app = typer.Typer(
-    help="A GNSS/INS seismograph station: ground displacement, velocity and acceleration through strong earthquakes.",
+    help="A GNSS/INS seismograph station: ground motion through strong earthquakes.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
@@ -23,8 +23,8 @@ def check() -> None:
     raise typer.Exit(0 if checks.check() else 1)
 
 
-@app.command(context_settings=PASS_ON)
-def test(
+@app.command("test", context_settings=PASS_ON)
+def run_tests(
     context: typer.Context,
     full: Annotated[bool, typer.Option("--full", help="Run the slow tests too.")] = False,
     skip_check: Annotated[bool, typer.Option("--no-check", help="Run the tests alone.")] = False,
@@ -37,9 +37,13 @@ def test(
 
 @app.command(context_settings=NODE_ARGUMENTS)
 def run(
-    package: Annotated[str, typer.Argument(help="Package of the node, such as deepseis_tracking.")],
+    package: Annotated[
+        str, typer.Argument(help="Package of the node, such as deepseis_tracking.")
+    ],
     node: Annotated[str, typer.Argument(help="Name of the node, such as tracker.")],
-    arguments: Annotated[list[str] | None, typer.Argument(help="Its arguments, such as --ros-args -p name:=1.")] = None,
+    arguments: Annotated[
+        list[str] | None, typer.Argument(help="Its arguments, such as --ros-args -p name:=1.")
+    ] = None,
 ) -> None:
     """Run one node, as `ros2 run` does."""
     from deepseis_bringup import executables

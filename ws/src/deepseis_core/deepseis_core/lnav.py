@@ -1,141 +1,42 @@
-"""GPS LNAV words and subframes: one table of bit fields, used to encode and to decode.
+"""GPS LNAV subframes: ephemerides to bits and back.
 
 Bits are numbered as in the standard, 1 to 300 of a subframe. As a signal, logic 0 is +1.
 
 References
 ----------
-IS-GPS-200, 20.3: parity 20.3.5.2, TLM and HOW 20.3.3, subframes 1 to 3 tables 20-I and 20-III,
-subframe 4 page 18 figure 20-1 sheet 8.
+IS-GPS-200, 20.3.3: subframes 1 to 3 tables 20-I and 20-III, page 18 figure 20-1 sheet 8.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
-from deepseis_core.constants import GPS_PI, S_PER_WEEK
-from deepseis_core.types import Ephemeris
-
-BitArray = NDArray[np.uint8]
-
-SUBFRAME_BITS = 300
-SUBFRAME_S = 6
-PREAMBLE = 0b10001011
-IONO_PAGE_ID = 56  # "SV ID" of subframe 4 page 18
-
-# Data bits that enter each of the six parity bits, and the bit of the word before (29 or 30).
-_PARITY = (
-    (29, (1, 2, 3, 5, 6, 10, 11, 12, 13, 14, 17, 18, 20, 23)),
-    (30, (2, 3, 4, 6, 7, 11, 12, 13, 14, 15, 18, 19, 21, 24)),
-    (29, (1, 3, 4, 5, 7, 8, 12, 13, 14, 15, 16, 19, 20, 22)),
-    (30, (2, 4, 5, 6, 8, 9, 13, 14, 15, 16, 17, 20, 21, 23)),
-    (30, (1, 3, 5, 6, 7, 9, 10, 14, 15, 16, 17, 18, 21, 22, 24)),
-    (29, (3, 5, 6, 8, 9, 10, 11, 13, 15, 19, 22, 23, 24)),
+from deepseis_core.constants import S_PER_WEEK
+from deepseis_core.lnav_words import (
+    HANDOVER,
+    IONO_FIELDS,
+    IONO_PAGE_ID,
+    PAGE_FIELDS,
+    PREAMBLE,
+    SUBFRAME_BITS,
+    SUBFRAME_FIELDS,
+    SUBFRAME_S,
+    BitArray,
+    add_parity,
+    get_fields,
+    put_raw,
+    remove_parity,
+    unsigned,
 )
-_MASKS = np.array(
-    [sum(1 << (24 - bit) for bit in bits) | 1 << (54 - last) for last, bits in _PARITY], np.int64
-)  # over the 26 bits D29* D30* d1 ... d24
+from deepseis_core.types import Ephemeris
 
 # Upper bounds of user range accuracy 0 to 14 and nominal values [m] (20.3.3.3.1.3).
 _URA_BOUND = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24, 48, 96, 192, 384, 768, 1536, 3072, 6144)
 _URA_NOMINAL = (2, 2.8, 4, 5.7, 8, 11.3, *(float(2**n) for n in range(4, 14)))
-
-
-@dataclass(frozen=True)
-class Field:
-    """A number in a subframe: first bit and length of its parts, sign, unit of the last bit."""
-
-    name: str
-    parts: tuple[tuple[int, int], ...]
-    exponent: int = 0
-    signed: bool = False
-    semicircles: bool = False
-
-    @property
-    def size(self) -> int:
-        """Length [bits]."""
-        return sum(length for _, length in self.parts)
-
-    @property
-    def unit(self) -> float:
-        """Value of the last bit, radians for semicircles."""
-        return 2.0**self.exponent * (GPS_PI if self.semicircles else 1.0)
-
-
-def _u(name: str, exponent: int, *parts: tuple[int, int]) -> Field:
-    return Field(name, parts, exponent)
-
-
-def _s(name: str, exponent: int, *parts: tuple[int, int]) -> Field:
-    return Field(name, parts, exponent, signed=True)
-
-
-def _angle(name: str, exponent: int, *parts: tuple[int, int]) -> Field:
-    return Field(name, parts, exponent, signed=True, semicircles=True)
-
-
-HANDOVER = (_u("tow_count", 0, (31, 17)), _u("subframe_id", 0, (50, 3)))
-SUBFRAME_FIELDS: dict[int, tuple[Field, ...]] = {
-    1: (
-        _u("week", 0, (61, 10)),
-        _u("l2_code", 0, (71, 2)),
-        _u("ura", 0, (73, 4)),
-        _u("health", 0, (77, 6)),
-        _u("iodc", 0, (83, 2), (211, 8)),
-        _u("l2p_flag", 0, (91, 1)),
-        _s("tgd", -31, (197, 8)),
-        _u("toc", 4, (219, 16)),
-        _s("af2", -55, (241, 8)),
-        _s("af1", -43, (249, 16)),
-        _s("af0", -31, (271, 22)),
-    ),
-    2: (
-        _u("iode", 0, (61, 8)),
-        _s("crs", -5, (69, 16)),
-        _angle("delta_n", -43, (91, 16)),
-        _angle("m0", -31, (107, 8), (121, 24)),
-        _s("cuc", -29, (151, 16)),
-        _u("eccentricity", -33, (167, 8), (181, 24)),
-        _s("cus", -29, (211, 16)),
-        _u("sqrt_a", -19, (227, 8), (241, 24)),
-        _u("toe", 4, (271, 16)),
-        _u("fit_interval_flag", 0, (287, 1)),
-    ),
-    3: (
-        _s("cic", -29, (61, 16)),
-        _angle("omega0", -31, (77, 8), (91, 24)),
-        _s("cis", -29, (121, 16)),
-        _angle("i0", -31, (137, 8), (151, 24)),
-        _s("crc", -5, (181, 16)),
-        _angle("omega", -31, (197, 8), (211, 24)),
-        _angle("omega_dot", -43, (241, 24)),
-        _u("iode", 0, (271, 8)),
-        _angle("i_dot", -43, (279, 14)),
-    ),
-}
-PAGE_FIELDS = (_u("data_id", 0, (61, 2)), _u("page_id", 0, (63, 6)))
-IONO_FIELDS = (
-    _s("alpha0", -30, (69, 8)),
-    _s("alpha1", -27, (77, 8)),
-    _s("alpha2", -24, (91, 8)),
-    _s("alpha3", -24, (99, 8)),
-    _s("beta0", 11, (107, 8)),
-    _s("beta1", 14, (121, 8)),
-    _s("beta2", 16, (129, 8)),
-    _s("beta3", 16, (137, 8)),
-    _s("a1", -50, (151, 24)),
-    _s("a0", -30, (181, 24), (211, 8)),
-    _u("tot", 12, (219, 8)),
-    _u("week_t", 0, (227, 8)),
-    _s("leap_s", 0, (241, 8)),
-    _u("week_lsf", 0, (249, 8)),
-    _u("day_lsf", 0, (257, 8)),
-    _s("leap_lsf_s", 0, (271, 8)),
-)
 
 
 @dataclass(frozen=True)
@@ -152,132 +53,6 @@ class UtcParameters:
     leap_lsf_s: int = 18
 
 
-def get_raw(bits: BitArray, field: Field) -> int:
-    """Return a field's integer from the 300 logic bits of a subframe, D30* taken off."""
-    value = 0
-    for first, length in field.parts:
-        for bit in bits[first - 1 : first - 1 + length]:
-            value = value << 1 | int(bit)
-    if field.signed and value >> (field.size - 1):
-        value -= 1 << field.size
-    return value
-
-
-def put_raw(bits: BitArray, field: Field, value: int) -> None:
-    """Write a field's integer; raise ``ValueError`` where it does not fit."""
-    low, high = (
-        (-(1 << (field.size - 1)), (1 << (field.size - 1)) - 1)
-        if field.signed
-        else (0, (1 << field.size) - 1)
-    )
-    if field.semicircles:  # angles wrap
-        value = (value - low) % (1 << field.size) + low
-    if not low <= value <= high:
-        raise ValueError(f"{field.name} does not fit into {field.size} bits")
-    shift = field.size
-    for first, length in field.parts:
-        shift -= length
-        for i in range(length):
-            bits[first - 1 + i] = value >> (shift + length - 1 - i) & 1
-
-
-def get_fields(bits: BitArray, fields: tuple[Field, ...]) -> dict[str, float]:
-    """Return the values of fields, in SI units and radians, from data bits."""
-    return {field.name: get_raw(bits, field) * field.unit for field in fields}
-
-
-@njit(cache=True, nogil=True)
-def parity_bits(data26: int, masks: NDArray[np.int64]) -> int:
-    """Return D25 ... D30 of a word from the 26 bits D29* D30* d1 ... d24 (kernel)."""
-    parity = 0
-    for i in range(6):
-        x = data26 & masks[i]
-        x ^= x >> 16
-        x ^= x >> 8
-        x ^= x >> 4
-        x ^= x >> 2
-        x ^= x >> 1
-        parity = parity << 1 | (x & 1)
-    return parity
-
-
-@njit(cache=True, nogil=True)
-def _subframe_words(bits: BitArray, masks: NDArray[np.int64], data: BitArray) -> int:
-    """Take D30* off ten received words; return a mask of failed ones, bit 0 = word 1 (kernel).
-
-    ``bits`` has the true polarity. Word 1 follows D29* = D30* = 0, as every word 10 ends so.
-    """
-    failed = 0
-    last = 0  # D29* D30*
-    for word in range(10):
-        packed = 0
-        for i in range(30):
-            packed = packed << 1 | bits[30 * word + i]
-        source = packed >> 6
-        if last & 1:
-            source ^= 0xFFFFFF
-        if parity_bits(last << 24 | source, masks) != packed & 0x3F:
-            failed |= 1 << word
-        for i in range(24):
-            data[30 * word + i] = source >> (23 - i) & 1
-        for i in range(24, 30):
-            data[30 * word + i] = bits[30 * word + i]
-        last = packed & 3
-    return failed
-
-
-def remove_parity(bits: BitArray) -> tuple[BitArray, int]:
-    """Check a subframe and take the D30* inversion off its data bits.
-
-    Parameters
-    ----------
-    bits : ndarray of uint8, shape (300,)
-        Logic bits as transmitted, true polarity.
-
-    Returns
-    -------
-    data : ndarray of uint8, shape (300,)
-        Data bits d1 ... d24 of each word; the parity bits as they came.
-    failed : int
-        Words whose parity is wrong: bit 0 is word 1.
-    """
-    data = np.zeros(SUBFRAME_BITS, np.uint8)
-    return data, int(_subframe_words(bits, _MASKS, data))
-
-
-@njit(cache=True, nogil=True)
-def _close_words(bits: BitArray, masks: NDArray[np.int64]) -> None:
-    """Turn data bits into transmitted words in place: t bits, parity, D30* (kernel)."""
-    last = 0
-    for word in range(10):
-        source = 0
-        for i in range(24):
-            source = source << 1 | bits[30 * word + i]
-        parity = parity_bits(last << 24 | source, masks)
-        if word == 1 or word == 9:
-            # Bits 23 and 24 are free and make D29 = D30 = 0: d24 enters both, d23 only D30.
-            for choice in range(4):
-                trial = (source & ~3) | choice
-                parity = parity_bits(last << 24 | trial, masks)
-                if parity & 3 == 0:
-                    source = trial
-                    break
-        if last & 1:
-            packed = (source ^ 0xFFFFFF) << 6 | parity
-        else:
-            packed = source << 6 | parity
-        for i in range(30):
-            bits[30 * word + i] = packed >> (29 - i) & 1
-        last = packed & 3
-
-
-def add_parity(data: BitArray) -> BitArray:
-    """Return the 300 bits to transmit for data bits; inverse of `remove_parity`."""
-    bits = data.copy()
-    _close_words(bits, _MASKS)
-    return bits
-
-
 def ura_index(accuracy: float) -> int:
     """Return the user range accuracy index of an accuracy [m]."""
     return sum(bound < accuracy for bound in _URA_BOUND)
@@ -289,13 +64,18 @@ def transmit_week(ephemeris: Ephemeris, tow_s: float) -> int:
 
 
 def encode_subframe(
-    ephemeris: Ephemeris, tow_s: int, *, week: int | None = None, utc: UtcParameters | None = None
+    ephemeris: Ephemeris,
+    tow_s: int,
+    *,
+    week: int | None = None,
+    utc: UtcParameters | None = None,
+    page_18_always: bool = False,
 ) -> BitArray:
     """Encode the subframe that starts at a time of week.
 
     Its number follows from the time (a frame of five starts every 30 s). Subframes 4 and 5 carry
     the dummy almanac, but page 18 of subframe 4 the ionosphere and UTC if ``ephemeris`` has the
-    Klobuchar parameters and ``utc`` is given or not needed (then zero with 18 leap seconds).
+    Klobuchar parameters.
 
     Parameters
     ----------
@@ -305,7 +85,9 @@ def encode_subframe(
     week : int, optional
         GPS week of transmission [weeks]; else the one nearest to toe.
     utc : UtcParameters, optional
-        For page 18.
+        For page 18; else no offset and 18 leap seconds.
+    page_18_always : bool, optional
+        Send page 18 in every frame rather than once in 12.5 minutes.
 
     Returns
     -------
@@ -315,15 +97,16 @@ def encode_subframe(
     if tow_s % SUBFRAME_S:
         raise ValueError(f"a subframe starts at a multiple of 6 s, not at {tow_s} s of week")
     tow_s %= S_PER_WEEK
-    subframe_id = tow_s // SUBFRAME_S % 5 + 1
+    subframe_id, page = tow_s // SUBFRAME_S % 5 + 1, tow_s // 30 % 25 + 1
     bits = np.zeros(SUBFRAME_BITS, np.uint8)
-    put_raw(bits, _u("preamble", 0, (1, 8)), PREAMBLE)
+    put_raw(bits, unsigned("preamble", 0, (1, 8)), PREAMBLE)
     next_tow_count = (tow_s // SUBFRAME_S + 1) % (S_PER_WEEK // SUBFRAME_S)
     put_raw(bits, HANDOVER[0], next_tow_count)
     put_raw(bits, HANDOVER[1], subframe_id)
     if subframe_id <= 3:
-        _put_ephemeris(bits, ephemeris, subframe_id, week or transmit_week(ephemeris, tow_s))
-    elif subframe_id == 4 and tow_s // 30 % 25 + 1 == 18 and ephemeris.iono_alpha:
+        week = transmit_week(ephemeris, tow_s) if week is None else week
+        _put_ephemeris(bits, ephemeris, subframe_id, week)
+    elif subframe_id == 4 and ephemeris.iono_alpha and (page_18_always or page == 18):
         _put_iono(bits, ephemeris, utc or UtcParameters())
     else:
         _put_dummy(bits)
@@ -342,6 +125,7 @@ def _put_iono(bits: BitArray, ephemeris: Ephemeris, utc: UtcParameters) -> None:
     values = dataclasses.asdict(utc)
     for name, coefficients in (("alpha", ephemeris.iono_alpha), ("beta", ephemeris.iono_beta)):
         values |= {f"{name}{i}": value for i, value in enumerate(coefficients)}
+    values["tot"] %= S_PER_WEEK
     values["week_t"] %= 256
     values["week_lsf"] %= 256
     put_raw(bits, PAGE_FIELDS[0], 1)
@@ -364,6 +148,7 @@ def encode_frame_bits(
     *,
     week: int | None = None,
     utc: UtcParameters | None = None,
+    page_18_always: bool = False,
 ) -> BitArray:
     """Encode consecutive subframes; see `encode_subframe`.
 
@@ -376,7 +161,12 @@ def encode_frame_bits(
     frames = []
     for i in range(n_subframes):
         carry, tow_s = divmod(start_tow_s + SUBFRAME_S * i, S_PER_WEEK)
-        frames.append(encode_subframe(ephemeris, tow_s, week=first_week + carry, utc=utc))
+        options: dict[str, Any] = {
+            "week": first_week + carry,
+            "utc": utc,
+            "page_18_always": page_18_always,
+        }
+        frames.append(encode_subframe(ephemeris, tow_s, **options))
     return np.concatenate(frames) if frames else np.zeros(0, np.uint8)
 
 
@@ -418,10 +208,10 @@ def decode_ephemeris(
     week : int
         Full week of transmission [weeks].
     """
-    values: dict[str, float] = {}
+    values: dict[str, Any] = {}
     for subframe_id in (1, 2, 3):
         values |= get_fields(frames[subframe_id], SUBFRAME_FIELDS[subframe_id])
-    integers = {name: int(values.pop(name)) for name in (*_INTEGERS, "iode")}
+    integers: dict[str, Any] = {name: int(values.pop(name)) for name in (*_INTEGERS, "iode")}
     accuracy = _URA_NOMINAL[int(values.pop("ura"))]
     values.pop("week")
     toe_week = week - round((values["toe"] - tow_s) / S_PER_WEEK)
@@ -430,6 +220,6 @@ def decode_ephemeris(
         week=toe_week,
         accuracy=float(accuracy),
         transmit_tow=float(tow_s),
-        **integers,  # type: ignore[arg-type]
+        **integers,
         **values,
     )

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from deepseis_core import lnav
+from deepseis_core import lnav_words as words
 from deepseis_core.gps_time import nearest_week
 from deepseis_core.types import Ephemeris
 
+_UNKNOWN = -(1 << 62)
 _STALE_S = 2 * 3600  # subframes farther apart than this never make one ephemeris
 
 
@@ -32,7 +35,7 @@ class SubframeEvent:
     half_cycle: bool
     turn_after: int
     turn_before: int
-    data: lnav.BitArray
+    data: words.BitArray
 
 
 @dataclass(frozen=True)
@@ -102,11 +105,12 @@ class LnavDecoder:
         self.failed_count = 0
         self._bits = np.zeros(0, np.uint8)
         self._first = 0  # bit index of _bits[0]
-        self._due = -1  # bit index at which the next subframe should start
+        self._due = _UNKNOWN  # bit index at which the next subframe should start
         self._polarity = 0
         self._sign_end = 0  # the sign is known for bits before this index
-        self._trailing = -1  # first bit from which a failed subframe had the sign of its end
-        self._frames: dict[int, tuple[int, lnav.BitArray]] = {}
+        self._due_tow_ms = 0  # start of that subframe
+        self._tail = (-1, 0)  # good end of a failed subframe: its first bit, its sign
+        self._frames: dict[int, tuple[int, words.BitArray]] = {}
         self._ephemeris: Ephemeris | None = None
         self._iono: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
 
@@ -131,83 +135,86 @@ class LnavDecoder:
         self._bits = np.concatenate((self._bits, hard))
         events: list[Event] = []
         position = 0
-        while position + lnav.SUBFRAME_BITS <= self._bits.size:
+        while position + words.SUBFRAME_BITS <= self._bits.size:
             found = self._subframe_at(position, events)
-            position += lnav.SUBFRAME_BITS if found else 1
-            stop = max(self._bits.size - lnav.SUBFRAME_BITS + 1, position)
+            position += words.SUBFRAME_BITS if found else 1
             if not found:
-                position = int(_find_preamble(self._bits, position, stop, lnav.PREAMBLE))
+                stop = max(self._bits.size - words.SUBFRAME_BITS + 1, position)
+                if position <= self._due - self._first < stop:
+                    stop = self._due - self._first
+                position = int(_find_preamble(self._bits, position, stop, words.PREAMBLE))
         self._bits = self._bits[position:]
         self._first += position
         return events
 
     def predicted_tow_ms(self, bit_index: int) -> int | None:
         """Return the time of week [ms] at which a bit started, if a subframe has been found."""
-        if self._due < 0:
+        if self._due == _UNKNOWN:
             return None
         return (self._due_tow_ms + 20 * (bit_index - self._due)) % 604_800_000
 
     def _restart(self, bit_index: int) -> None:
         self._bits = np.zeros(0, np.uint8)
         self._first = bit_index
-        self._due = -1
-        self._trailing = -1
+        self._due = _UNKNOWN
+        self._polarity = 0
+        self._tail = (-1, 0)
 
     def _subframe_at(self, position: int, events: list[Event]) -> bool:
         """Try one start; report whether a subframe is there."""
-        received = self._bits[position : position + lnav.SUBFRAME_BITS]
+        received = self._bits[position : position + words.SUBFRAME_BITS]
         start = self._first + position
-        inverted = int(_preamble_at(received, 0, lnav.PREAMBLE))
+        inverted = int(_preamble_at(received, 0, words.PREAMBLE))
         if inverted < 0:
             self._note_failure(start, received, inverted)
             return False
-        data, failed = lnav.remove_parity(received ^ np.uint8(inverted))
-        subframe_id = lnav.get_raw(data, lnav.HANDOVER[1])
-        tow_count = lnav.get_raw(data, lnav.HANDOVER[0])
+        data, failed = words.remove_parity(received ^ np.uint8(inverted))
+        subframe_id = words.get_raw(data, words.HANDOVER[1])
+        tow_count = words.get_raw(data, words.HANDOVER[0])
         if failed or not 1 <= subframe_id <= 5 or tow_count >= 100_800:
             self._note_failure(start, received, inverted)
             return False
-        tow_s = (tow_count - 1) % 100_800 * lnav.SUBFRAME_S
+        tow_s = (tow_count - 1) % 100_800 * words.SUBFRAME_S
         events.append(self._accept(start, 1 - 2 * inverted, tow_s, subframe_id, data))
-        events.extend(self._collect(subframe_id, tow_s, data, start + lnav.SUBFRAME_BITS - 1))
+        events.extend(self._collect(subframe_id, tow_s, data, start + words.SUBFRAME_BITS - 1))
         return True
 
     def _accept(
-        self, start: int, polarity: int, tow_s: int, subframe_id: int, data: lnav.BitArray
+        self, start: int, polarity: int, tow_s: int, subframe_id: int, data: words.BitArray
     ) -> SubframeEvent:
         half_cycle = self._polarity == -polarity
         turn_before = start
-        if half_cycle and self._trailing >= self._sign_end and start == self._due:
-            turn_before = self._trailing
+        if half_cycle and start == self._due and self._tail[1] == polarity:
+            turn_before = self._tail[0]
         turn_after = self._sign_end if half_cycle else turn_before
         self._polarity = polarity
-        self._due = self._sign_end = start + lnav.SUBFRAME_BITS
-        self._due_tow_ms = (tow_s + lnav.SUBFRAME_S) * 1000
-        self._trailing = -1
+        self._due = self._sign_end = start + words.SUBFRAME_BITS
+        self._due_tow_ms = (tow_s + words.SUBFRAME_S) * 1000
+        self._tail = (-1, 0)
         self.subframe_count += 1
         return SubframeEvent(
             start, polarity, tow_s * 1000, subframe_id, half_cycle, turn_after, turn_before, data
         )
 
-    def _note_failure(self, start: int, received: lnav.BitArray, inverted: int) -> None:
+    def _note_failure(self, start: int, received: words.BitArray, inverted: int) -> None:
         """Where a subframe was due: find how far its head and tail keep one sign each."""
         if start != self._due:
             return
         self.failed_count += 1
-        self._due += lnav.SUBFRAME_BITS
-        self._due_tow_ms += lnav.SUBFRAME_S * 1000
+        self._due += words.SUBFRAME_BITS
+        self._due_tow_ms += words.SUBFRAME_S * 1000
         # Parity does not depend on the sign, so a turn breaks just the word (or two) around it.
-        _, failed = lnav.remove_parity(received ^ np.uint8(max(inverted, 0)))
+        _, failed = words.remove_parity(received ^ np.uint8(max(inverted, 0)))
         good = [not failed >> word & 1 for word in range(10)]
         head = good.index(False) if False in good else 10
         tail = good[::-1].index(False) if False in good else 10
         if 1 - 2 * inverted == self._polarity and self._sign_end == start:
             self._sign_end = start + 30 * head
-        # D30 of word 10 is 0: a tail of good words ends with the sign of its last bit.
-        self._trailing = start + lnav.SUBFRAME_BITS - 30 * tail if tail else -1
+        # The last bit of a subframe, D30 of word 10, is 0 and tells the sign of the tail.
+        self._tail = (self._due - 30 * tail, 1 - 2 * int(received[-1])) if tail else (-1, 0)
 
     def _collect(
-        self, subframe_id: int, tow_s: int, data: lnav.BitArray, bit_end: int
+        self, subframe_id: int, tow_s: int, data: words.BitArray, bit_end: int
     ) -> list[Event]:
         if subframe_id == 4:
             return self._collect_iono(data, bit_end)
@@ -231,7 +238,7 @@ class LnavDecoder:
             return None
         frames = {key: data for key, (_, data) in self._frames.items()}
         one, two, three = (
-            lnav.get_fields(frames[i], lnav.SUBFRAME_FIELDS[i]) for i in sorted(frames)
+            words.get_fields(frames[i], words.SUBFRAME_FIELDS[i]) for i in sorted(frames)
         )
         if not int(one["iodc"]) & 0xFF == int(two["iode"]) == int(three["iode"]):
             return None
@@ -241,10 +248,10 @@ class LnavDecoder:
     def _with_iono(self, ephemeris: Ephemeris) -> Ephemeris:
         return dataclasses.replace(ephemeris, iono_alpha=self._iono[0], iono_beta=self._iono[1])
 
-    def _collect_iono(self, data: lnav.BitArray, bit_end: int) -> list[Event]:
-        if lnav.get_raw(data, lnav.PAGE_FIELDS[1]) != lnav.IONO_PAGE_ID:
+    def _collect_iono(self, data: words.BitArray, bit_end: int) -> list[Event]:
+        if words.get_raw(data, words.PAGE_FIELDS[1]) != words.IONO_PAGE_ID:
             return []
-        values = lnav.get_fields(data, lnav.IONO_FIELDS)
+        values: dict[str, Any] = words.get_fields(data, words.IONO_FIELDS)
         alpha = tuple(values.pop(f"alpha{i}") for i in range(4))
         beta = tuple(values.pop(f"beta{i}") for i in range(4))
         utc = self._utc(values)
@@ -255,16 +262,15 @@ class LnavDecoder:
         self._iono = (alpha, beta)
         return events
 
-    def _utc(self, values: dict[str, float]) -> lnav.UtcParameters:
+    def _utc(self, values: dict[str, Any]) -> lnav.UtcParameters:
         """Resolve the eight-bit weeks near the reference and name the fields."""
-        weeks = {}
+        named: dict[str, Any] = {}
         for name in ("week_t", "week_lsf"):
             reference = self._ephemeris.week if self._ephemeris else self.reference_week
-            weeks[name] = reference + (int(values.pop(name)) - reference + 128) % 256 - 128
-        integers = {
-            name: int(values.pop(name)) for name in ("leap_s", "day_lsf", "leap_lsf_s")
-        }
-        return lnav.UtcParameters(**weeks, **integers, **values)  # type: ignore[arg-type]
+            named[name] = reference + (int(values.pop(name)) - reference + 128) % 256 - 128
+        for name in ("leap_s", "day_lsf", "leap_lsf_s"):
+            named[name] = int(values.pop(name))
+        return lnav.UtcParameters(**named, **values)
 
 
 def _same_issue(a: Ephemeris, b: Ephemeris) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from deepseis_core.config import check, setting
@@ -11,21 +11,31 @@ from deepseis_core.errors import InputError
 from numpy.typing import NDArray
 from scipy import fft
 
-import ca_scratch as ca_code
 
+from deepseis_tracking import acquisition_codes as codes
 from deepseis_tracking import acquisition_fine as fine
 from deepseis_tracking import acquisition_signal as sig
 from deepseis_tracking import acquisition_statistics as stat
 
-SATELLITES = tuple(f"G{prn:02d}" for prn in range(1, 33))
 PERIOD = 1e-3
 """Duration of one C/A code period [s]."""
 GUARD = 4
 """Cells on either side of a peak kept out of the noise estimate."""
-LEAK_MARGIN = 2.0
-"""A detection below this multiple of what a stronger satellite leaks there is not believed."""
-LEAK_LEVEL_DB = 15.0
-"""Smallest difference of C/N0 at which a satellite is removed as a possible source of leaks."""
+LEAK_DB = 21.6
+"""Largest cross-correlation of C/A codes at any Doppler, below the stronger one [dB]."""
+LEAK_SUM_DB = 6.0
+"""Margin for leaks that add up and for noise on top of them [dB]."""
+STRONG_DB = 8.0
+"""Signals that far above the weakest detectable one are removed as possible sources [dB]."""
+REMOVALS = 3
+"""How often a satellite is removed if it is still there: lost samples shift its code phase."""
+OTHERS_NARROWER_HZ = 3200.0
+"""QZSS and SBAS have that much less Doppler than GPS."""
+STRONGEST_DBHZ = 56.0
+"""Nothing on L1 C/A comes in stronger [dB-Hz]: sets which detections may be leaks of others."""
+
+
+_Rows = Mapping[str, NDArray[np.int64]]
 
 
 @dataclass(frozen=True)
@@ -45,6 +55,9 @@ class AcquisitionConfig:
     )
     alternate_blocks: bool = setting(
         False, "sum odd and even blocks apart, take the better: 10 ms between data bits"
+    )
+    search_interferers: bool = setting(
+        True, "look for QZSS and SBAS where a detection could be their cross-correlation"
     )
     samples_per_ms: int = setting(2048, "working rate [samples/ms]", low=2048, high=4096)
 
@@ -113,7 +126,7 @@ class Acquirer:
         baseband_i: sig.SampleArray,
         baseband_q: sig.SampleArray,
         sample_index: int,
-        satellites: Sequence[str] = SATELLITES,
+        satellites: Sequence[str] = codes.GPS,
         doppler_windows: Mapping[str, tuple[float, float]] | None = None,
     ) -> list[Detection]:
         """Search for satellites in the first ``samples_needed`` samples.
@@ -150,13 +163,9 @@ class Acquirer:
             name: self._rows(name, doppler_windows, conditioned.is_real) for name in satellites
         }
         peaks = self._search_rows(conditioned, rows)
-        found = {
-            name: self._judge(conditioned, name, peak, sample_index)
-            for name, peak in peaks.items()
-        }
-        for name in self._cross_correlations(found):
-            found[name] = self._search_again(conditioned, name, rows[name], found)
-        return [found[name] for name in satellites]
+        found = {name: self._judge(conditioned, name, peak) for name, peak in peaks.items()}
+        found |= self._confirm(conditioned, found, rows)
+        return [replace(found[name], sample_index=sample_index) for name in satellites]
 
     def _rows(
         self,
@@ -177,12 +186,12 @@ class Acquirer:
     def _replica(self, satellite: str) -> sig.Complex64Array:
         if satellite not in self._replicas:
             self._replicas[satellite] = sig.replica_spectrum(
-                ca_code.chips(int(satellite[1:])), self._size
+                codes.code(satellite), self._size
             )
         return self._replicas[satellite]
 
     def _search_rows(
-        self, conditioned: sig.Conditioned, rows: Mapping[str, NDArray[np.int64]]
+        self, conditioned: sig.Conditioned, rows: _Rows
     ) -> dict[str, _Peak]:
         """Return the largest cell of each satellite over its rows."""
         config, size = self.config, self._size
@@ -239,9 +248,7 @@ class Acquirer:
             stat.reference_cells(self._replica(satellite)),
         )
 
-    def _judge(
-        self, conditioned: sig.Conditioned, satellite: str, peak: _Peak, sample_index: int
-    ) -> Detection:
+    def _judge(self, conditioned: sig.Conditioned, satellite: str, peak: _Peak) -> Detection:
         """Compare a peak with its threshold and refine it if it passes."""
         threshold = self._threshold(satellite, peak.rows)
         replica, detected = self._replica(satellite), peak.statistic > threshold
@@ -253,7 +260,7 @@ class Acquirer:
         return Detection(
             satellite=satellite,
             detected=bool(detected),
-            sample_index=sample_index,
+            sample_index=0,
             code_phase_chips=estimate.code_phase_chips,
             carrier_doppler_hz=estimate.carrier_doppler_hz,
             doppler_sd_hz=estimate.doppler_sd_hz,
@@ -263,45 +270,64 @@ class Acquirer:
             cn0_dbhz=float(10 * np.log10(estimate.cn0_hz)),
         )
 
-    def _leak(self, strong: Detection, weak: Detection) -> float:
-        """Return the statistic that a stronger satellite alone would give in a weak one's cell."""
-        gain = stat.cross_correlation(
-            self._replica(strong.satellite),
-            self._replica(weak.satellite),
-            strong.code_phase_chips,
-            weak.code_phase_chips,
-            strong.carrier_doppler_hz - weak.carrier_doppler_hz,
-            self._coherent_s,
-        )
-        return 1 + float(10 ** (strong.cn0_dbhz / 10)) * self._coherent_s * gain
+    def _confirm(
+        self, conditioned: sig.Conditioned, found: Mapping[str, Detection], rows: _Rows
+    ) -> dict[str, Detection]:
+        """Search again, with the strong satellites removed, for what they may have faked.
 
-    def _cross_correlations(self, found: Mapping[str, Detection]) -> list[str]:
-        """Return the detections that a stronger satellite explains."""
-        detections = sorted(
-            (item for item in found.values() if item.detected), key=lambda item: -item.cn0_dbhz
-        )
-        explained: list[str] = []
-        for rank, weak in enumerate(detections):
-            strong = [item for item in detections[:rank] if item.satellite not in explained]
-            leak = max((self._leak(item, weak) for item in strong), default=1.0)
-            if weak.statistic - 1 < LEAK_MARGIN * (leak - 1):
-                explained.append(weak.satellite)
-        return explained
+        C/A codes correlate with each other up to -21.6 dB, whatever their Doppler difference
+        modulo 1 kHz. Detections that weak against the strongest signal (GPS, or QZSS and SBAS,
+        which are searched for where anything is weak enough to stem from them) must pass again
+        in a signal from which all strong ones have been subtracted.
+        """
+        present = [item for item in found.values() if item.detected]
+        weakest = min((item.cn0_dbhz for item in present), default=np.inf)
+        if self.config.search_interferers and weakest < STRONGEST_DBHZ - LEAK_DB:
+            present += self._interferers(conditioned)
+        top = max((item.cn0_dbhz for item in present), default=-np.inf)
+        doubtful = {
+            item.satellite: rows[item.satellite]
+            for item in present
+            if item.satellite in rows and item.cn0_dbhz < top - LEAK_DB + LEAK_SUM_DB
+        }
+        if not doubtful:
+            return {}
+        strong = [item for item in present if item.satellite not in doubtful]
+        cleaned = self._remove(conditioned, strong)
+        peaks = self._search_rows(cleaned, doubtful)
+        return {name: self._judge(cleaned, name, peak) for name, peak in peaks.items()}
 
-    def _search_again(
-        self,
-        conditioned: sig.Conditioned,
-        satellite: str,
-        rows: NDArray[np.int64],
-        found: Mapping[str, Detection],
-    ) -> Detection:
-        """Search once more with every satellite removed that could leak into this one."""
-        weak = found[satellite]
-        for other in found.values():
-            if other.detected and other.cn0_dbhz > weak.cn0_dbhz + LEAK_LEVEL_DB:
-                estimate = fine.FineEstimate(
-                    other.code_phase_chips, other.carrier_doppler_hz, other.doppler_sd_hz, 0.0
+    def _interferers(self, conditioned: sig.Conditioned) -> list[Detection]:
+        """Find QZSS and SBAS, whose Doppler is smaller than that of GPS."""
+        centre = self.config.doppler_centre_hz
+        span = max(self.config.doppler_span_hz - OTHERS_NARROWER_HZ, self._row_hz)
+        windows = dict.fromkeys(codes.OTHERS, (centre - span, centre + span))
+        rows = {name: self._rows(name, windows, conditioned.is_real) for name in windows}
+        peaks = self._search_rows(conditioned, rows)
+        judged = [self._judge(conditioned, name, peak) for name, peak in peaks.items()]
+        return [item for item in judged if item.detected]
+
+    def _remove(self, conditioned: sig.Conditioned, strong: list[Detection]) -> sig.Conditioned:
+        """Subtract satellites that can leak; again at another code phase if samples were lost."""
+        for _ in range(REMOVALS):
+            least = {item.satellite: (item.threshold - 1) / self._coherent_s for item in strong}
+            strong = [
+                item
+                for item in sorted(strong, key=lambda item: -item.cn0_dbhz)
+                if item.cn0_dbhz > 10 * np.log10(least[item.satellite]) + STRONG_DB
+            ]
+            for item in strong:
+                conditioned = fine.cancel(
+                    conditioned,
+                    self._replica(item.satellite),
+                    item.code_phase_chips,
+                    item.carrier_doppler_hz,
                 )
-                conditioned = fine.cancel(conditioned, self._replica(other.satellite), estimate)
-        peak = self._search_rows(conditioned, {satellite: rows})[satellite]
-        return self._judge(conditioned, satellite, peak, weak.sample_index)
+            near = {
+                item.satellite: round(item.carrier_doppler_hz / self._row_hz) + np.arange(-1, 2)
+                for item in strong
+            }
+            peaks = self._search_rows(conditioned, near)
+            again = [self._judge(conditioned, name, peak) for name, peak in peaks.items()]
+            strong = [item for item in again if item.detected]
+        return conditioned

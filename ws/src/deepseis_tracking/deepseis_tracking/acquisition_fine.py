@@ -146,24 +146,30 @@ def _vertex(values: NDArray[np.float64]) -> float:
 
 
 def cancel(
-    conditioned: sig.Conditioned, replica: sig.Complex64Array, estimate: FineEstimate
+    conditioned: sig.Conditioned,
+    replica: sig.Complex64Array,
+    code_phase_chips: float,
+    doppler_hz: float,
 ) -> sig.Conditioned:
     """Remove a satellite: subtract its replica, fitted to each code period by itself."""
     size = len(replica)
-    start, phase = first_epoch(estimate.code_phase_chips, size)
+    start, phase = first_epoch(code_phase_chips, size)
     length = len(conditioned.signal)
     count = -(-(length + size - start) // size)
     padded = np.zeros(count * size, np.complex64)
     inside = slice(size - start, size - start + length)
     padded[inside] = conditioned.signal
     index = np.arange(len(padded)) - (size - start)
-    mixer = np.exp(2j * np.pi * np.mod(estimate.carrier_doppler_hz / conditioned.rate_hz * index, 1))
+    mixer = np.exp(2j * np.pi * np.mod(doppler_hz / conditioned.rate_hz * index, 1))
     times = (index[::size] + size / 2) / conditioned.rate_hz
-    slip = sig.code_slip(estimate.carrier_doppler_hz, conditioned.rate_hz, size, times)
+    slip = sig.code_slip(doppler_hz, conditioned.rate_hz, size, times)
     wave = fft.ifft(_delayed(replica, phase + slip), axis=1, norm="forward").ravel() * mixer
     wave[: inside.start], wave[inside.stop :] = 0, 0
     wave, blocks = wave.reshape(count, size), padded.reshape(count, size)
     energy = np.sum(np.abs(wave) ** 2, axis=1)
     fitted = np.sum(blocks * wave.conj(), axis=1) / np.maximum(energy, 1e-9)
-    cleaned = (blocks - fitted[:, None] * wave).astype(np.complex64).ravel()[inside]
+    part = fitted[:, None] * wave
+    if conditioned.is_real:
+        part = 2 * part.real
+    cleaned = (blocks - part).astype(np.complex64).ravel()[inside]
     return sig.Conditioned(cleaned, conditioned.rate_hz, conditioned.is_real)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deepseis_core.config import check, setting
 from deepseis_core.constants import CA_RATE_CPS, CA_LENGTH, L1_HZ
-from deepseis_core.lnav import LnavDecoder
+from deepseis_core.lnav_decoder import EphemerisEvent, Event, LnavDecoder, SubframeEvent
 from deepseis_core.types import (
     AcquisitionResult,
     Aiding,
@@ -25,6 +24,8 @@ from deepseis_tracking import channel_kernel
 from deepseis_tracking.channel_state import CONFIG, EPOCH, EPOCH_FIELDS, STATE
 from deepseis_tracking.loop_filter import LoopGains, design_loop
 from deepseis_tracking.replica import ReplicaBank
+
+MS_PER_WEEK = 604_800_000
 
 
 @dataclass(frozen=True)
@@ -161,8 +162,13 @@ class Channel:
         self.reference_week = reference_week
         self.decoder = LnavDecoder(satellite, reference_week)
         self.subframes = 0
+        self.half_cycle = 0.0
+        self._turned = False
+        self._bit = 0.0
+        self._bit_offset = -1
         self.polarity_turns = 0
         self.lost = 0
+        self.just_dropped = False
 
     def _numbers(self) -> NDArray[np.void]:
         config, numbers = self.config, np.zeros(1, CONFIG)
@@ -198,18 +204,18 @@ class Channel:
         """What the channel is doing."""
         return TrackingMode(int(self.states["mode"][0]))
 
-    def hand_over(self, result: AcquisitionResult) -> None:
-        """Start pulling in at ``result.effective_sample_index``."""
+    def hand_over(self, result: AcquisitionResult, sample_index: int) -> None:
+        """Start pulling in at the first code period after ``sample_index``."""
         state = self.states[0]
         carrier_phase = float(state["carrier_phase"])
         flags = int(state["pending_flags"])
         self.states[:] = np.zeros(1, STATE)
         rate = CA_RATE_CPS * (1 + result.carrier_doppler_hz / L1_HZ) / self.sample_rate_hz
-        gap = result.effective_sample_index - result.sample_index
+        gap = sample_index - result.sample_index
         phase = (result.code_phase_chips + gap * rate) % CA_LENGTH
         wait = math.ceil((CA_LENGTH - phase) / rate)
         state["mode"] = TrackingMode.PULL_IN
-        state["next_sample"] = result.effective_sample_index + wait
+        state["next_sample"] = sample_index + wait
         state["code_phase"] = phase + wait * rate - CA_LENGTH
         state["carrier_phase"] = math.floor(carrier_phase)
         state["slope_hz"] = state["nco_hz"] = result.carrier_doppler_hz
@@ -220,11 +226,13 @@ class Channel:
         state["power"] = 10 ** (result.cn0_dbhz / 10)
         state["pending_flags"] = flags | TrackingFlag.SLIP
         self.decoder = LnavDecoder(self.satellite, self.reference_week)
+        self.half_cycle, self._turned = 0.0, False
 
     def drop(self, flag: TrackingFlag) -> None:
         """Give the signal up, e.g. because samples are missing."""
         if self.mode != TrackingMode.IDLE:
             self.lost += 1
+            self.just_dropped = True
             self.states["mode"] = TrackingMode.IDLE
             self.states["pending_flags"] |= int(flag | TrackingFlag.SLIP)
 
@@ -259,6 +267,7 @@ class Channel:
             The block's integrations, and ephemerides completed in it.
         """
         self.states["noise"] = window.noise
+        self._bit_offset = int(self.states["bit_offset"][0])
         was_active = self.mode != TrackingMode.IDLE
         aiding = self.aiding
         count = channel_kernel.advance(
@@ -279,6 +288,7 @@ class Channel:
             self.out,
         )
         rows = self.out[:count]
+        self._bit_offset = max(self._bit_offset, int(self.states["bit_offset"][0]))
         ephemerides = self._navigation(rows)
         if self.mode == TrackingMode.IDLE:
             self.lost += was_active
@@ -297,34 +307,36 @@ class Channel:
 
     def _navigation(self, rows: NDArray[np.void]) -> list[Ephemeris]:
         """Feed data bits to the decoder and apply what it finds to the channel's state."""
-        aligned = rows[rows["bits_aligned"] == 1]
-        if not len(aligned):
-            return []
+        rows["carrier_phase_cycles"] += self.half_cycle
+        if self._turned and len(rows):
+            rows["flags"][0] |= TrackingFlag.HALF_CYCLE
+            self._turned = False
         found: list[Ephemeris] = []
-        per_bit = 20 // self.config.integration_ms
-        if per_bit > 1:
-            raise ValueError("integration_ms below 20 is not decoded")
-        offset = int(aligned["period"][0] % 20)
-        first_bit = int((aligned["period"][0] - offset) // 20)
-        delay = int(self.config.feedback_delay_ms * 1e-3 * self.sample_rate_hz)
-        for event in self.decoder.push(aligned["prompt_i"], first_bit):
-            self._apply(event, offset)
-            if event.ephemeris is not None:
-                self.ephemeris_count += 1
-                end = int(aligned["sample_index"][-1] + aligned["sample_count"][-1]) + delay
-                found.append(_with_effect(event.ephemeris, end))
+        for row in rows[rows["bits_aligned"] == 1]:
+            since_edge = int(row["period"]) - self._bit_offset
+            part = since_edge % 20
+            self._bit = float(row["prompt_i"]) + (self._bit if part else 0.0)
+            if part + int(row["periods"]) < 20:
+                continue
+            for event in self.decoder.push([self._bit], since_edge // 20):
+                found += self._apply(event, int(row["sample_index"] + row["sample_count"]))
         return found
 
-    def _apply(self, event: object, offset: int) -> None:
-        raise NotImplementedError
-
-
-def _with_effect(ephemeris: Ephemeris, sample_index: int) -> Ephemeris:
-    from dataclasses import replace
-
-    return replace(ephemeris, effective_sample_index=sample_index)
-
-
-def satellites_of(names: Sequence[str]) -> tuple[str, ...]:
-    """Check satellite names and put them in order."""
-    return tuple(sorted(set(names)))
+    def _apply(self, event: Event, end_sample: int) -> list[Ephemeris]:
+        """Put a decoder's event into the channel's state."""
+        if isinstance(event, SubframeEvent):
+            state = self.states[0]
+            self.subframes += 1
+            self.polarity_turns += event.half_cycle
+            start_period = event.bit_index * 20 + self._bit_offset
+            elapsed = int(state["period_count"]) - start_period
+            state["transmit_ms"] = (event.tow_ms + elapsed) % MS_PER_WEEK
+            state["polarity"] = 1
+            half_cycle = 0.5 if event.polarity < 0 else 0.0
+            self._turned = self._turned or half_cycle != self.half_cycle
+            self.half_cycle = half_cycle
+        if not isinstance(event, EphemerisEvent):
+            return []
+        self.ephemeris_count += 1
+        delay = int(self.config.feedback_delay_ms * 1e-3 * self.sample_rate_hz)
+        return [replace(event.ephemeris, effective_sample_index=end_sample + delay)]

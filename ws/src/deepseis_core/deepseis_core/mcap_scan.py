@@ -1,0 +1,267 @@
+"""Reads an MCAP file from front to back, whole, cut short or damaged, in bounded memory.
+
+The index at the file's end is not needed: after ``kill -9`` there is none. A file that ends
+within a record is *cut*: everything before is given and :attr:`McapScan.cut_at` tells where it
+stops. Bytes that contradict themselves (a checksum, an impossible length) are *damage*: an
+``InputError``, or, when tolerated, a chunk left out and counted.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO, Final, NamedTuple
+
+import lz4.frame
+import zstandard
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+
+from deepseis_core.errors import InputError
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+RECORD_LIMIT: Final = 1 << 30  # [bytes] larger ones are damage: ours are some megabytes
+MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
+RECORD_HEAD: Final = struct.Struct("<BQ")
+CHUNK_HEAD: Final = struct.Struct("<QQQII")
+LAST_OPCODE: Final = int(Opcode.DATA_END)
+RECOVER: Final = "try: deepseis recover BAG"
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A topic as one recorder wrote it."""
+
+    id: int
+    topic: str
+    type_name: str
+    schema_encoding: str
+    schema: bytes
+    encoding: str
+    metadata: dict[str, str] = field(default_factory=dict)
+
+
+class Message(NamedTuple):
+    """One message; ``data`` is a view of the chunk that held it."""
+
+    channel: Channel
+    log_time_ns: int
+    publish_time_ns: int
+    sequence: int
+    data: memoryview
+
+
+class _Damage(Exception):  # noqa: N818 (never leaves this module)
+    """What contradicts itself in the record at hand."""
+
+
+_ERRORS = (
+    _Damage,
+    struct.error,
+    IndexError,
+    UnicodeDecodeError,
+    ValueError,
+    RuntimeError,
+    OverflowError,
+    MemoryError,
+    zstandard.ZstdError,
+    McapError,
+)
+"""What the parsers raise on garbage (lz4: RuntimeError)."""
+
+
+class McapScan:
+    """One pass over an MCAP file; the attributes grow while :meth:`messages` runs.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    tolerant : bool
+        Leave damaged chunks out and count them in ``damaged_chunks`` instead of raising.
+
+    Attributes
+    ----------
+    channels : dict
+        Topics met so far, by channel number.
+    metadata : dict
+        Metadata records met so far, by name.
+    attachments : list
+        Attachment records met so far.
+    cut_at : int or None
+        Byte where a file that was cut short stops making sense.
+    """
+
+    def __init__(self, path: str | Path, *, tolerant: bool = False) -> None:
+        self.path = Path(path)
+        self.tolerant = tolerant
+        self.profile = ""
+        self.channels: dict[int, Channel] = {}
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.attachments: list[records.Attachment] = []
+        self.cut_at: int | None = None
+        self.damaged_chunks = 0
+        self._schemas: dict[int, records.Schema] = {}
+        _require_mcap(self.path)
+
+    def messages(self, wanted: Callable[[Channel], bool] | None = None) -> Iterator[Message]:
+        """Yield the messages of the wanted channels in the order of the file.
+
+        Raises
+        ------
+        InputError
+            At damage, naming the byte.
+        """
+        with self.path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            file.seek(len(MAGIC))
+            while True:
+                start = file.tell()
+                head = file.read(RECORD_HEAD.size)
+                if len(head) < RECORD_HEAD.size:
+                    self.cut_at = start
+                    return
+                opcode, length = RECORD_HEAD.unpack(head)
+                if length > size - file.tell() or opcode == 0:
+                    self._require_cut(file, start, opcode)
+                    return
+                if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                    return
+                try:
+                    if length > RECORD_LIMIT:
+                        file.seek(length, os.SEEK_CUR)
+                        raise _Damage("its length is impossible")
+                    yield from self._record(opcode, file.read(length), wanted)
+                except _ERRORS as error:
+                    self._damaged(opcode, start, error)
+
+    def _require_cut(self, file: BinaryIO, start: int, opcode: int) -> None:
+        """Tell a record that the end cuts, or a tail never written, from garbage."""
+        if opcode == 0:
+            file.seek(start)
+            while piece := file.read(1 << 20):
+                if piece.strip(b"\0"):
+                    opcode = 255
+                    break
+        if opcode <= LAST_OPCODE or self.tolerant:
+            self.cut_at = start
+            return
+        raise InputError(self.path, f"is damaged at byte {start}: no MCAP record there", RECOVER)
+
+    def _damaged(self, opcode: int, start: int, error: BaseException) -> None:
+        if self.tolerant:
+            self.damaged_chunks += 1
+            return
+        name = Opcode(opcode).name.lower() if opcode <= LAST_OPCODE else "record"
+        reason = str(error) or type(error).__name__
+        raise InputError(
+            self.path, f"is damaged at byte {start}: {name}: {reason}", RECOVER
+        ) from None
+
+    def _record(
+        self, opcode: int, data: bytes, wanted: Callable[[Channel], bool] | None
+    ) -> Iterator[Message]:
+        if opcode == Opcode.CHUNK:
+            yield from self._chunk(data, wanted)
+        elif opcode == Opcode.MESSAGE:
+            yield from self._message(memoryview(data), wanted)
+        elif opcode == Opcode.METADATA:
+            found = records.Metadata.read(_stream(data))
+            self.metadata[found.name] = found.metadata
+        elif opcode == Opcode.ATTACHMENT:
+            self.attachments.append(records.Attachment.read(_stream(data)))
+        elif opcode == Opcode.HEADER:
+            self.profile = records.Header.read(_stream(data)).profile
+        else:
+            self._definition(opcode, data)
+
+    def _definition(self, opcode: int, data: bytes | memoryview) -> None:
+        if opcode == Opcode.SCHEMA:
+            schema = records.Schema.read(_stream(data))
+            self._schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = records.Channel.read(_stream(data))
+            schema = self._schemas.get(channel.schema_id) or records.Schema(0, b"", "", "")
+            self.channels[channel.id] = Channel(
+                id=channel.id,
+                topic=channel.topic,
+                type_name=schema.name,
+                schema_encoding=schema.encoding,
+                schema=bytes(schema.data),
+                encoding=channel.message_encoding,
+                metadata=dict(channel.metadata),
+            )
+
+    def _chunk(self, data: bytes, wanted: Callable[[Channel], bool] | None) -> Iterator[Message]:
+        content = memoryview(_decompress(data))
+        position = 0
+        while position < len(content):
+            opcode, length = RECORD_HEAD.unpack_from(content, position)
+            position += RECORD_HEAD.size
+            if length > len(content) - position:
+                raise _Damage("a record is longer than its chunk")
+            record = content[position : position + length]
+            position += length
+            if opcode == Opcode.MESSAGE:
+                yield from self._message(record, wanted)
+            else:
+                self._definition(opcode, record)
+
+    def _message(
+        self, record: memoryview, wanted: Callable[[Channel], bool] | None
+    ) -> Iterator[Message]:
+        number, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(record)
+        channel = self.channels.get(number)
+        if channel is None:
+            raise _Damage(f"a message of the undeclared channel {number}")
+        if wanted is None or wanted(channel):
+            yield Message(channel, log_time, publish_time, sequence, record[MESSAGE_HEAD.size :])
+
+
+def _require_mcap(path: Path) -> None:
+    try:
+        with path.open("rb") as file:
+            magic = file.read(len(MAGIC))
+    except IsADirectoryError:
+        raise InputError(path, "is a directory", "name an MCAP file or a bag's folder") from None
+    except OSError as error:
+        raise InputError(path, error.strerror or str(error)) from None
+    if not magic:
+        raise InputError(path, "is empty")
+    if magic != MAGIC:
+        raise InputError(path, "is not an MCAP file")
+
+
+def _stream(data: bytes | memoryview) -> ReadDataStream:
+    return ReadDataStream(BytesIO(data))
+
+
+def _decompress(data: bytes) -> bytes | memoryview:
+    _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(data)
+    start = CHUNK_HEAD.size + name_length
+    name = bytes(data[CHUNK_HEAD.size : start]).decode()
+    (packed_size,) = struct.unpack_from("<Q", data, start)
+    packed = memoryview(data)[start + 8 : start + 8 + packed_size]
+    if size > RECORD_LIMIT or len(packed) != packed_size:
+        raise _Damage("its lengths are impossible")
+    content: bytes | memoryview
+    if name == "":
+        content = packed
+    elif name == "zstd":
+        if zstandard.frame_content_size(packed) > RECORD_LIMIT:
+            raise _Damage("its lengths are impossible")
+        content = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
+    elif name == "lz4":
+        content = lz4.frame.decompress(packed)
+    else:
+        raise _Damage(f"unknown compression {name!r}")
+    if len(content) != size or (crc and zlib.crc32(content) != crc):
+        raise _Damage("its checksum does not fit")
+    return content

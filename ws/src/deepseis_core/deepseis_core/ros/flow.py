@@ -1,0 +1,133 @@
+"""Flow control between nodes: readiness, watermarks, credits, end of stream.
+
+Every member of the graph announces on ``flow/<name>`` through which sample its outputs are
+complete and its inputs consumed. It is *ready* when all its publishers have the subscribers that
+the graph's description promises, so nothing published later can be missed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.node import Node
+
+from deepseis_core.config import setting
+from deepseis_core.ros import qos
+from deepseis_core.ros.convert import stamp_from_ns
+from deepseis_core.ros.main import Process
+from deepseis_msgs.msg import Watermark
+
+
+@dataclass(frozen=True)
+class FlowConfig:
+    """A node's place in the graph (filled by the graph's description)."""
+
+    mode: str = setting(
+        "lockstep",
+        "lockstep: wait for inputs without limit; realtime: with deadlines [-]",
+        choices=("lockstep", "realtime"),
+    )
+    expected_subscribers: list[str] = setting([], "what to wait for: topic=count [-]")
+
+
+class Flow:
+    """One node's part in the flow control."""
+
+    def __init__(self, node: Node, process: Process, name: str, config: FlowConfig) -> None:
+        self.node, self.process, self.name, self.config = node, process, name, config
+        self.publisher = node.create_publisher(Watermark, f"flow/{name}", qos.STREAM_LATCHED)
+        self.publishers: dict[str, Any] = {}
+        self.others: dict[str, Watermark] = {}
+        self.ready = False
+        self.ended = False
+        self._subscriptions: list[Any] = []
+        self._last: tuple[int, int, int] = (-1, -1, 0)
+        self._on_ready: list[Callable[[], None]] = []
+        self._timer = node.create_timer(0.02, self._check_ready)
+
+    @property
+    def lockstep(self) -> bool:
+        """Wait for inputs without limit."""
+        return self.config.mode == "lockstep"
+
+    def publish_on(self, topic: str, msg_type: Any, profile: Any, node: Node | None = None) -> Any:
+        """Create a publisher whose subscribers count for readiness."""
+        publisher = (node or self.node).create_publisher(msg_type, topic, profile)
+        self.publishers.setdefault(topic, []).append(publisher)
+        return publisher
+
+    def follow(
+        self, names: Iterable[str], callback: Callable[[Watermark], None] | None = None
+    ) -> None:
+        """Subscribe to other members' watermarks; the newest is in ``others``."""
+        for name in names:
+
+            def on_watermark(msg: Watermark, name: str = name) -> None:
+                self.others[name] = msg
+                if msg.error:
+                    self.process.stop(1, f"{name} gave up: {msg.error}")
+                elif callback is not None:
+                    callback(msg)
+
+            self._subscriptions.append(
+                self.node.create_subscription(
+                    Watermark, f"flow/{name}", on_watermark, qos.STREAM_LATCHED
+                )
+            )
+
+    def when_ready(self, callback: Callable[[], None]) -> None:
+        """Call back once all endpoints are matched."""
+        self._on_ready.append(callback)
+
+    def _missing(self) -> list[str]:
+        missing = []
+        for entry in self.config.expected_subscribers:
+            topic, _, count = entry.rpartition("=")
+            for publisher in self.publishers.get(topic, []):
+                if publisher.get_subscription_count() < int(count):
+                    missing.append(topic)
+        return missing
+
+    def _check_ready(self) -> None:
+        if self._missing():
+            return
+        self.ready = True
+        self._timer.cancel()
+        self.send(*self._last[:2])
+        for callback in self._on_ready:
+            callback()
+
+    def send(
+        self,
+        valid_through: int,
+        consumed_through: int,
+        *,
+        event_count: int | None = None,
+        end_of_stream: bool = False,
+        utc_ns: int = 0,
+    ) -> None:
+        """Announce progress."""
+        count = self._last[2] if event_count is None else event_count
+        self._last = (valid_through, consumed_through, count)
+        msg = Watermark(node=self.name, ready=self.ready, end_of_stream=end_of_stream)
+        msg.header.stamp = stamp_from_ns(utc_ns)
+        msg.valid_through, msg.consumed_through = valid_through, consumed_through
+        msg.event_count = count
+        self.publisher.publish(msg)
+
+    def finish(self) -> None:
+        """Announce the end after everything published has reached its readers."""
+        for publishers in self.publishers.values():
+            for publisher in publishers:
+                publisher.wait_for_all_acked(Duration(seconds=5))
+        self.ended = True
+        self.send(self._last[0], self._last[1], end_of_stream=True)
+
+    def fail(self, reason: str) -> None:
+        """Tell everybody that this node gives up, and end the process."""
+        msg = Watermark(node=self.name, ready=self.ready, error=reason)
+        self.publisher.publish(msg)
+        self.process.stop(1, reason)

@@ -1,0 +1,79 @@
+"""Settings dataclasses as ROS parameters: declared once, described, checked, read-only."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+
+from deepseis_core.config import check
+from deepseis_core.errors import InputError
+
+Config = TypeVar("Config")
+
+
+def _descriptor(item: Any) -> ParameterDescriptor:
+    described = ParameterDescriptor(
+        description=item.metadata.get("description", ""), read_only=True
+    )
+    if item.metadata.get("choices"):
+        described.additional_constraints = "one of " + ", ".join(item.metadata["choices"])
+    low, high = item.metadata.get("low"), item.metadata.get("high")
+    if low is not None and high is not None:
+        if item.type in ("float", float):
+            limits = FloatingPointRange(from_value=float(low), to_value=float(high))
+            described.floating_point_range = [limits]
+        elif item.type in ("int", int):
+            described.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+    return described
+
+
+def declare(node: Node, config_type: type[Config]) -> Config:
+    """Declare every field of a settings dataclass and return it filled.
+
+    Raises
+    ------
+    InputError
+        A value has the wrong type or is out of range.
+    """
+    default = config_type()
+    values = {}
+    for item in fields(config_type):  # type: ignore[arg-type]
+        initial = getattr(default, item.name)
+        try:
+            if isinstance(initial, (list, tuple)) and not initial:
+                initial = [""]
+            parameter = node.declare_parameter(item.name, initial, _descriptor(item))
+        except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+            raise InputError(f"parameter {item.name} of {node.get_name()}", str(error)) from None
+        value = parameter.value
+        if isinstance(value, list) or (hasattr(value, "tolist") and not isinstance(value, str)):
+            value = [entry for entry in list(value) if entry != ""]
+        values[item.name] = value
+    try:
+        config = config_type(**values)
+        check(config)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"parameters of {node.get_name()}", str(error)) from None
+    return config
+
+
+def reject_unknown(node: Node) -> None:
+    """Complain about parameters that were given but that nobody declared.
+
+    Raises
+    ------
+    InputError
+        Names them, and what exists.
+    """
+    known = set(node.get_parameters_by_prefix("")) | set(node._parameters)
+    given = set(node._parameter_overrides)
+    unknown = sorted(name for name in given - known if not name.startswith("qos_overrides."))
+    if unknown:
+        names = ", ".join(sorted(n for n in known if n != "use_sim_time"))
+        raise InputError(
+            f"node {node.get_name()}", f"unknown parameter {', '.join(unknown)}", f"known: {names}"
+        )

@@ -1,0 +1,47 @@
+"""One door to every kind of recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Protocol
+
+from deepseis_core.errors import InputError
+from deepseis_frontend.if_bag import IfBag
+from deepseis_frontend.if_file import open_if_file
+from deepseis_frontend.if_stream import IfSource
+
+
+class Selection(Protocol):
+    """What to open; see ``SourceConfig`` of the node."""
+
+    file: str
+    format: str
+    sample_rate_hz: float
+    intermediate_frequency_hz: float
+    start_s: float
+    length_s: float
+
+
+def open_source(selection: Selection) -> IfSource:
+    """Open a raw recording or a bag.
+
+    Raises
+    ------
+    InputError
+        There is no such file, or it is not what it is said to be.
+    """
+    if not selection.file:
+        raise InputError("parameter file", "is empty", "name an IF recording or a bag")
+    path = Path(selection.file)
+    if not path.exists():
+        raise InputError(path, "does not exist")
+    if path.suffix == ".mcap" or (path.is_dir() and any(path.glob("*.mcap"))):
+        return IfBag(path)
+    given: dict[str, Any] = {}
+    if selection.format:
+        given["format"] = selection.format
+    if selection.sample_rate_hz:
+        given["sample_rate_hz"] = selection.sample_rate_hz
+        given["intermediate_frequency_hz"] = selection.intermediate_frequency_hz
+    length = selection.length_s or None
+    return open_if_file(path, start=selection.start_s, length=length, **given)

@@ -1,0 +1,235 @@
+"""The satellites of one process, block by block in order of validity.
+
+Time is cut into *slots* (default 0.5 s). The acquisition's results take effect at the start of a
+slot, never in between, so a channel without a signal can promise to be idle through the slot's
+end with one message, and the channels look at the acquisition's watermark once a slot.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from deepseis_core.baseband import Baseband
+from deepseis_core.config import setting
+from deepseis_core.errors import InputError
+from deepseis_core.types import (
+    AcquisitionResult,
+    Aiding,
+    Ephemeris,
+    IfBlock,
+    TrackingEpochs,
+    TrackingFlag,
+    TrackingMode,
+)
+from deepseis_tracking.channel import BasebandWindow, Channel, TrackingConfig
+
+ALL_SATELLITES = [f"G{prn:02d}" for prn in range(1, 33)]
+
+
+@dataclass(frozen=True)
+class SlotConfig:
+    """What the channels and the acquisition must agree on."""
+
+    satellites: list[str] = setting(ALL_SATELLITES, "satellites of the station, RINEX names [-]")
+    slot_ms: int = setting(500, "acquisition results take effect at multiples of this [ms]", low=20)
+    latency_slots: int = setting(1, "slots from the search's start to the hand-over [-]", low=1)
+    reference_week: int = setting(2200, "full GPS week within ten years of the signal [weeks]", low=0)
+
+
+def check_satellites(names: list[str]) -> tuple[str, ...]:
+    """Put satellite names in order.
+
+    Raises
+    ------
+    InputError
+        A name is not G01 to G32.
+    """
+    for name in names:
+        if name not in ALL_SATELLITES:
+            raise InputError(f"satellite {name!r}", "is not a GPS satellite", "G01 to G32")
+    return tuple(sorted(set(names)))
+
+
+@dataclass
+class BlockOutput:
+    """What one IF block gave."""
+
+    block: IfBlock
+    epochs: list[TrackingEpochs] = field(default_factory=list)
+    ephemerides: list[Ephemeris] = field(default_factory=list)
+    requests: list[tuple[str, int]] = field(default_factory=list)
+
+
+class TrackingEngine:
+    """Channels of some satellites over one stream of IF blocks.
+
+    Parameters
+    ----------
+    satellites : sequence of str
+        RINEX names; one channel each.
+    config : TrackingConfig
+        Loop settings.
+    slots : SlotConfig
+        Slot length.
+    wait_acquisition, wait_aiding : bool
+        Whether the graph has these members: then no block is worked through before they have
+        spoken for it.
+    """
+
+    def __init__(
+        self,
+        satellites: tuple[str, ...],
+        config: TrackingConfig,
+        slots: SlotConfig,
+        *,
+        wait_acquisition: bool = True,
+        wait_aiding: bool = False,
+    ) -> None:
+        self.satellites, self.config, self.slots = satellites, config, slots
+        self.wait_acquisition, self.wait_aiding = wait_acquisition, wait_aiding
+        self.channels: dict[str, Channel] = {}
+        self.blocks: deque[IfBlock] = deque()
+        self.results: list[AcquisitionResult] = []
+        self.result_count = 0
+        self.acquisition_through, self.acquisition_count = -1, 0
+        self.aiding: deque[Aiding] = deque()
+        self.aiding_through = -1
+        self.request_count = 0
+        self.window = BasebandWindow(0)
+        self.baseband: Baseband | None = None
+        self.slot = -1
+        self.done_through = -1
+        self.counters = {"blocks": 0, "gaps": 0, "aid_missed": 0, "late_results": 0}
+
+    def push_block(self, block: IfBlock) -> None:
+        """Take the next IF block; blocks come in order."""
+        self.blocks.append(block)
+
+    def push_result(self, result: AcquisitionResult) -> None:
+        """Take an acquisition result."""
+        self.result_count += 1
+        if result.detected and result.satellite in self.satellites:
+            self.results.append(result)
+
+    def push_aiding(self, aiding: Aiding) -> None:
+        """Take the aiding of a span; spans come in order."""
+        self.aiding.append(aiding)
+        self.aiding_through = max(self.aiding_through, aiding.valid_through)
+
+    def acquisition_valid(self, through: int, result_count: int) -> None:
+        """The acquisition has published all ``result_count`` results up to ``through``."""
+        self.acquisition_through = max(self.acquisition_through, through)
+        self.acquisition_count = max(self.acquisition_count, result_count)
+
+    def _slot_of(self, block: IfBlock) -> int:
+        return block.sample_index // self._slot_samples(block)
+
+    def _slot_samples(self, block: IfBlock) -> int:
+        return round(self.slots.slot_ms * 1e-3 * block.sample_rate_hz)
+
+    def waiting_for(self) -> str:
+        """Name what the next block waits for: acquisition, aiding, samples or nothing."""
+        if not self.blocks:
+            return "samples"
+        block = self.blocks[0]
+        new_slot = self._slot_of(block) != self.slot
+        if self.wait_acquisition and new_slot and self.slot >= 0:
+            start = self._slot_of(block) * self._slot_samples(block)
+            if self.acquisition_through < start or self.result_count < self.acquisition_count:
+                return "acquisition"
+        if self.wait_aiding and self.aiding_through < block.sample_index + block.sample_count - 1:
+            return "aiding"
+        return ""
+
+    def advance(self, *, force: bool = False) -> BlockOutput | None:
+        """Work through one block if its inputs are there.
+
+        Parameters
+        ----------
+        force : bool
+            Do not wait any longer (a deadline has passed): aiding is extrapolated or dropped.
+
+        Returns
+        -------
+        BlockOutput or None
+            None when there is nothing to do yet.
+        """
+        missing = self.waiting_for()
+        if missing == "samples" or (missing and not force):
+            return None
+        block = self.blocks.popleft()
+        output = BlockOutput(block)
+        slot = self._slot_of(block)
+        new_slot, self.slot = slot != self.slot, slot
+        self._prepare(block)
+        if new_slot:
+            self._hand_over(slot * self._slot_samples(block))
+        end = block.sample_index + block.sample_count
+        self._take_aiding(end - 1)
+        slot_end = (slot + 1) * self._slot_samples(block) - 1
+        for satellite, channel in self.channels.items():
+            active = channel.mode != TrackingMode.IDLE
+            if not (active or new_slot or channel.just_dropped):
+                continue
+            epochs, ephemerides = channel.advance(self.window, block.sample_index, slot_end)
+            output.epochs.append(epochs)
+            output.ephemerides += ephemerides
+            if channel.mode == TrackingMode.IDLE and (active or channel.just_dropped):
+                output.requests.append((satellite, end))
+                self.request_count += 1
+            channel.just_dropped = False
+        self.done_through = end - 1
+        return output
+
+    def _prepare(self, block: IfBlock) -> None:
+        """Baseband of the block; channels are dropped where samples are missing."""
+        if self.baseband is None:
+            self.baseband = Baseband.for_block(block)
+            history = block.sample_count + int(0.025 * block.sample_rate_hz)
+            self.window = BasebandWindow(history)
+            for satellite in self.satellites:
+                self.channels[satellite] = Channel(
+                    satellite, block.sample_rate_hz, self.config, self.slots.reference_week
+                )
+        self.counters["blocks"] += 1
+        i, q = self.baseband.convert(block)
+        if not self.window.push(i, q, block.sample_index):
+            self.counters["gaps"] += 1
+            for channel in self.channels.values():
+                channel.drop(TrackingFlag.GAP)
+
+    def _hand_over(self, slot_start: int) -> None:
+        """Give results that are due to idle channels."""
+        due = [r for r in self.results if r.effective_sample_index <= slot_start]
+        self.results = [r for r in self.results if r.effective_sample_index > slot_start]
+        for result in sorted(due, key=lambda r: (r.effective_sample_index, r.satellite)):
+            channel = self.channels[result.satellite]
+            if channel.mode == TrackingMode.IDLE:
+                self.counters["late_results"] += result.effective_sample_index < slot_start
+                channel.hand_over(result, max(result.effective_sample_index, slot_start))
+
+    def _take_aiding(self, last_sample: int) -> None:
+        while self.aiding and self.aiding[0].valid_from <= last_sample:
+            aiding = self.aiding.popleft()
+            for channel in self.channels.values():
+                channel.aid(aiding)
+        if self.wait_aiding and self.aiding_through < last_sample:
+            self.counters["aid_missed"] += 1
+            for channel in self.channels.values():
+                channel.aid_missing(last_sample)
+
+    def health(self) -> tuple[bool, str, dict[str, object]]:
+        """Whether something was lost, one line, and all counters."""
+        tracked = [n for n, c in self.channels.items() if c.mode >= TrackingMode.TRACK]
+        channels = self.channels.values()
+        values: dict[str, object] = dict(self.counters)
+        values["lost"] = sum(c.lost for c in channels)
+        values["polarity_turns"] = sum(c.polarity_turns for c in channels)
+        values["subframes"] = sum(c.subframes for c in channels)
+        values["subframes_failed"] = sum(c.decoder.failed_count for c in channels)
+        for name, channel in self.channels.items():
+            if channel.mode != TrackingMode.IDLE:
+                values[f"{name}_cn0_dbhz"] = f"{float(channel.states['cn0'][0]):.1f}"
+        lost = bool(self.counters["gaps"] or self.counters["aid_missed"])
+        return lost, f"tracking {len(tracked)}: {' '.join(tracked)}", values

@@ -1,0 +1,104 @@
+"""Node: searches for satellites that nobody tracks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+
+from deepseis_core.config import setting
+from deepseis_core.ros import diagnostics, qos
+from deepseis_core.ros.convert import from_msg, ns_from_stamp, to_msg
+from deepseis_core.ros.flow import Flow, FlowConfig
+from deepseis_core.ros.main import Process, run
+from deepseis_core.ros.parameters import declare, reject_unknown
+from deepseis_core.sample_clock import SampleClock
+from deepseis_core.types import IfBlock as IfBlockValue
+from deepseis_msgs.msg import AcquisitionRequest, AcquisitionResult, IfBlock, Watermark
+from deepseis_tracking.acquisition import AcquisitionConfig
+from deepseis_tracking.acquisition_engine import AcquisitionEngine, RetryConfig
+from deepseis_tracking.engine import SlotConfig, check_satellites
+
+
+@dataclass(frozen=True)
+class PeersConfig:
+    """Whose requests to wait for."""
+
+    trackers: list[str] = setting([], "flow members that make requests [-]")
+
+
+class AcquisitionNode(Node):
+    """In: if/samples, acquisition/request. Out: acquisition/result. Parameters: AcquisitionConfig."""
+
+    def __init__(self, process: Process) -> None:
+        super().__init__("acquisition")
+        self.flow = Flow(self, process, "acquisition", declare(self, FlowConfig))
+        slots, search = declare(self, SlotConfig), declare(self, AcquisitionConfig)
+        retry, peers = declare(self, RetryConfig), declare(self, PeersConfig)
+        reject_unknown(self)
+        self.engine = AcquisitionEngine(check_satellites(slots.satellites), search, slots, retry)
+        self.engine.expect_trackers(peers.trackers)
+        self.publisher = self.flow.publish_on("acquisition/result", AcquisitionResult, qos.LATCHED)
+        self.diagnostics = self.flow.publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
+        self.clock: SampleClock | None = None
+        self.second = -1
+        self.flow.follow(peers.trackers, self.on_tracker)
+        self.flow.follow(["if_source"], lambda _msg: self.work())
+        self.create_subscription(IfBlock, "if/samples", self.on_if_block, qos.STREAM)
+        self.create_subscription(
+            AcquisitionRequest, "acquisition/request", self.on_request, qos.LATCHED
+        )
+
+    def on_if_block(self, msg: IfBlock) -> None:
+        """Queue the block."""
+        if self.clock is None:
+            utc_ns = ns_from_stamp(msg.header.stamp)
+            self.clock = SampleClock.from_sample(msg.sample_index, utc_ns, msg.sample_rate_hz)
+        self.engine.push_block(from_msg(msg, IfBlockValue))
+        self.work()
+
+    def on_request(self, msg: AcquisitionRequest) -> None:
+        """A channel lost its signal."""
+        self.engine.push_request(msg.satellite, msg.sample_index, msg.header.frame_id)
+        self.work()
+
+    def on_tracker(self, msg: Watermark) -> None:
+        """Take a tracker process' watermark."""
+        self.engine.tracker_valid(msg.node, msg.valid_through, msg.event_count)
+        self.work()
+
+    def work(self) -> None:
+        """Work through all that the watermarks allow and publish."""
+        engine, clock = self.engine, self.clock
+        while (results := engine.advance()) is not None and clock is not None:
+            for result in results:
+                stamp = clock.utc_ns(result.sample_index)
+                self.publisher.publish(to_msg(result, AcquisitionResult, stamp))
+            utc_ns = clock.utc_ns(engine.consumed_through)
+            self.flow.send(
+                engine.valid_through,
+                engine.consumed_through,
+                event_count=engine.result_count,
+                utc_ns=utc_ns,
+            )
+            second = int(engine.consumed_through / clock.sample_rate_hz)
+            if second > self.second:
+                self.second = second
+                text = f"{engine.counters['found']} found"
+                self.diagnostics.publish(
+                    diagnostics.array("acquisition", diagnostics.OK, text, engine.counters, utc_ns)
+                )
+        source = self.flow.others.get("if_source")
+        ended = source is not None and source.end_of_stream and not self.flow.ended
+        if ended and engine.consumed_through >= source.valid_through:
+            self.flow.finish()
+
+
+def main() -> None:
+    """Run the node."""
+    run(lambda process: process.add(AcquisitionNode(process)), "acquisition")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,181 @@
+"""Nodes: one per satellite, hosted in this process; they share one IF subscription."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+
+from deepseis_core.config import setting
+from deepseis_core.errors import InputError
+from deepseis_core.ros import diagnostics, qos
+from deepseis_core.ros.convert import from_msg, ns_from_stamp, stamp_from_ns, to_msg
+from deepseis_core.ros.flow import Flow, FlowConfig
+from deepseis_core.ros.main import Process
+from deepseis_core.ros.parameters import declare, reject_unknown
+from deepseis_core.sample_clock import SampleClock
+from deepseis_core.types import AcquisitionResult as AcquisitionResultValue
+from deepseis_core.types import Aiding
+from deepseis_core.types import IfBlock as IfBlockValue
+from deepseis_msgs.msg import (
+    AcquisitionRequest,
+    AcquisitionResult,
+    DopplerAiding,
+    Ephemeris,
+    IfBlock,
+    TrackingEpochs,
+    Watermark,
+)
+from deepseis_tracking.channel import TrackingConfig
+from deepseis_tracking.engine import BlockOutput, SlotConfig, TrackingEngine, check_satellites
+
+
+@dataclass(frozen=True)
+class HostConfig:
+    """What this process waits for."""
+
+    wait_acquisition: bool = setting(True, "the graph has an acquisition node [-]")
+    aiding: bool = setting(False, "the graph has a node that publishes aiding/doppler [-]")
+    aiding_deadline_ms: float = setting(50.0, "realtime: wait so long for aiding [ms]", low=0)
+
+
+class SatelliteNode(Node):
+    """Out: tracking/<sat>/epochs, gnss/ephemeris, acquisition/request of one satellite."""
+
+    def __init__(self, satellite: str, flow: Flow) -> None:
+        super().__init__(
+            f"tracker_{satellite.lower()}", start_parameter_services=False, enable_rosout=False
+        )
+        self.satellite = satellite
+        publish_on = flow.publish_on
+        self.epochs = publish_on(f"tracking/{satellite}/epochs", TrackingEpochs, qos.STREAM, self)
+        self.ephemeris = publish_on("gnss/ephemeris", Ephemeris, qos.LATCHED, self)
+        self.request = publish_on("acquisition/request", AcquisitionRequest, qos.LATCHED, self)
+
+
+class TrackerHost:
+    """In: if/samples, acquisition/result, aiding/doppler. Out: those of every `SatelliteNode`."""
+
+    def __init__(self, process: Process, node: Node, satellites: list[str] | None) -> None:
+        self.process, self.node = process, node
+        self.name = node.get_name()
+        flow_config, self.config = declare(node, FlowConfig), declare(node, HostConfig)
+        slots, loops = declare(node, SlotConfig), declare(node, TrackingConfig)
+        reject_unknown(node)
+        names = check_satellites(satellites or slots.satellites)
+        self.flow = Flow(node, process, self.name, flow_config)
+        try:
+            self.engine = TrackingEngine(
+                names,
+                loops,
+                slots,
+                wait_acquisition=self.config.wait_acquisition,
+                wait_aiding=self.config.aiding,
+            )
+        except ValueError as error:
+            raise InputError(f"parameters of {self.name}", str(error)) from None
+        self.satellites = {name: SatelliteNode(name, self.flow) for name in names}
+        for satellite_node in self.satellites.values():
+            process.add(satellite_node)
+        self.diagnostics = self.flow.publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
+        self.clock: SampleClock | None = None
+        self.second, self.arrived = -1, 0.0
+        self.flow.follow(["if_source"], self.on_source)
+        if self.config.wait_acquisition:
+            self.flow.follow(["acquisition"], self.on_acquisition)
+        self.subscriptions = self.subscribe()
+        if not self.flow.lockstep:
+            node.create_timer(0.01, self.on_deadline)
+
+    def subscribe(self) -> list[Any]:
+        """Subscribe to the inputs."""
+        subscribe = self.node.create_subscription
+        made = [subscribe(IfBlock, "if/samples", self.on_if_block, qos.STREAM)]
+        if self.config.wait_acquisition:
+            made.append(
+                subscribe(AcquisitionResult, "acquisition/result", self.on_result, qos.LATCHED)
+            )
+        if self.config.aiding:
+            made.append(subscribe(DopplerAiding, "aiding/doppler", self.on_aiding, qos.STREAM))
+        return made
+
+    def on_if_block(self, msg: IfBlock) -> None:
+        """Queue the block; work through all that the inputs' watermarks allow."""
+        if not self.engine.blocks:
+            self.arrived = time.monotonic()
+        self.engine.push_block(from_msg(msg, IfBlockValue))
+        if self.clock is None:
+            utc_ns = ns_from_stamp(msg.header.stamp)
+            self.clock = SampleClock.from_sample(msg.sample_index, utc_ns, msg.sample_rate_hz)
+        self.work()
+
+    def on_result(self, msg: AcquisitionResult) -> None:
+        """Take an acquisition result."""
+        self.engine.push_result(from_msg(msg, AcquisitionResultValue))
+        self.work()
+
+    def on_acquisition(self, msg: Watermark) -> None:
+        """Take the acquisition's watermark."""
+        self.engine.acquisition_valid(msg.valid_through, msg.event_count)
+        self.work()
+
+    def on_aiding(self, msg: DopplerAiding) -> None:
+        """Take aiding."""
+        self.engine.push_aiding(from_msg(msg, Aiding))
+        self.work()
+
+    def on_source(self, _msg: Watermark) -> None:
+        """Look whether the stream has ended."""
+        self.work()
+
+    def on_deadline(self) -> None:
+        """Realtime: wait no longer than the deadline for aiding."""
+        waited = time.monotonic() - self.arrived
+        if self.engine.blocks and waited > self.config.aiding_deadline_ms * 1e-3:
+            self.work(force=True)
+
+    def work(self, *, force: bool = False) -> None:
+        """Work through all blocks whose inputs are there and publish."""
+        while (output := self.engine.advance(force=force)) is not None:
+            force = False
+            self.arrived = time.monotonic()
+            self.publish(output)
+        source = self.flow.others.get("if_source")
+        ended = source is not None and source.end_of_stream and not self.flow.ended
+        if ended and self.engine.done_through >= source.valid_through:
+            self.flow.finish()
+
+    def publish(self, output: BlockOutput) -> None:
+        """Publish what one block gave, the watermark last."""
+        block, clock = output.block, self.clock
+        assert clock is not None
+        utc_ns = clock.utc_ns(block.sample_index)
+        for ephemeris in output.ephemerides:
+            stamp = clock.utc_ns(ephemeris.effective_sample_index)
+            self.satellites[ephemeris.satellite].ephemeris.publish(
+                to_msg(ephemeris, Ephemeris, stamp)
+            )
+        for satellite, sample_index in output.requests:
+            request = AcquisitionRequest(satellite=satellite, sample_index=sample_index)
+            request.header.stamp = stamp_from_ns(utc_ns)
+            request.header.frame_id = self.name
+            self.satellites[satellite].request.publish(request)
+        for epochs in output.epochs:
+            self.satellites[epochs.satellite].epochs.publish(
+                to_msg(epochs, TrackingEpochs, utc_ns)
+            )
+        last = block.sample_index + block.sample_count - 1
+        self.flow.send(last, last, event_count=self.engine.request_count, utc_ns=utc_ns)
+        second = int(last / block.sample_rate_hz)
+        if second > self.second:
+            self.second = second
+            self.report(utc_ns)
+
+    def report(self, utc_ns: int) -> None:
+        """Publish the counters."""
+        level, text, values = self.engine.health()
+        level_byte = diagnostics.WARN if level else diagnostics.OK
+        self.diagnostics.publish(diagnostics.array(self.name, level_byte, text, values, utc_ns))
