@@ -335,7 +335,7 @@ def clean_environment() -> dict[str, str]:
 
 def underlay_environment() -> dict[str, str]:
     """Return the environment after the underlay's setup.bash."""
-    # With MAKEFLAGS set, colcon does not hold compilers back on a machine that does other work too.
+    # With MAKEFLAGS set, colcon does not hold compilers back while the machine does other work.
     return source(VENV / "setup.bash") | {"MAKEFLAGS": f"-j{os.cpu_count() or 2}"}
 
 

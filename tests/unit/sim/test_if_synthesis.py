@@ -27,8 +27,10 @@ def segments(synthesizer, count, cn0_dbhz=45.0):
     code = (phase - PHASE_0[:, None, None] * np.array([1.0, 0, 0, 0])) / 1540.0
     code[..., 0] += CODE_0[:, None] + 1.023e6 * start
     code[..., 1] += 1.023e6 * span
+    period = np.floor(code[..., 0] / 1023).astype(np.int64)
+    code[..., 0] -= 1023 * period
     bits = np.array([[0, 1, 1, 0] * 20, [1, 1, 0, 0] * 20], np.uint8)
-    return SignalSegments(0, phase, code, np.full((2, count), cn0_dbhz), bits)
+    return SignalSegments(0, phase, code, period, np.full((2, count), cn0_dbhz), bits)
 
 
 def signal(time, k):

@@ -32,6 +32,7 @@ MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
 RECORD_HEAD: Final = struct.Struct("<BQ")
 CHUNK_HEAD: Final = struct.Struct("<QQQII")
 LAST_OPCODE: Final = int(Opcode.DATA_END)
+PRIVATE_OPCODE: Final = 0x80  # opcodes from here on are for others' use, and skipped
 RECOVER: Final = "try: deepseis recover BAG"
 
 
@@ -129,7 +130,8 @@ class McapScan:
                     self.cut_at = start
                     return
                 opcode, length = RECORD_HEAD.unpack(head)
-                if length > size - file.tell() or opcode == 0:
+                unknown = opcode == 0 or LAST_OPCODE < opcode < PRIVATE_OPCODE
+                if length > size - file.tell() or unknown:
                     self._require_cut(file, start, opcode)
                     return
                 if opcode in (Opcode.DATA_END, Opcode.FOOTER):
@@ -141,6 +143,14 @@ class McapScan:
                     yield from self._record(opcode, file.read(length), wanted)
                 except _ERRORS as error:
                     self._damaged(opcode, start, error)
+
+    @property
+    def has_end(self) -> bool:
+        """Whether the file ends as a finished one does, with its index."""
+        with self.path.open("rb") as file:
+            end = file.seek(0, os.SEEK_END)
+            file.seek(max(end - len(MAGIC), len(MAGIC)))
+            return file.read() == MAGIC
 
     def _require_cut(self, file: BinaryIO, start: int, opcode: int) -> None:
         """Tell a record that the end cuts, or a tail never written, from garbage."""

@@ -55,7 +55,10 @@ class EphemerisBook:
         values = np.array([*alpha, *beta], np.float64)
         if values.shape != (8,):
             raise ValueError("the ionosphere has four alpha and four beta")
-        self._klobuchar.append((effective_sample_index, satellite, values))
+        entry = (effective_sample_index, satellite)
+        if any(item[:2] == entry and np.array_equal(item[2], values) for item in self._klobuchar):
+            return
+        self._klobuchar.append((*entry, values))
         self._klobuchar.sort(key=lambda item: item[:2])
 
     def klobuchar(self, sample_index: int) -> FloatArray | None:

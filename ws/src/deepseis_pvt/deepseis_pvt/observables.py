@@ -23,7 +23,7 @@ import numpy as np
 
 from deepseis_core.config import setting
 from deepseis_core.constants import NS_PER_S, NS_PER_WEEK
-from deepseis_core.types import FloatArray, IntArray, Observations
+from deepseis_core.types import FloatArray, IntArray, Observations, TrackingFlag
 from deepseis_pvt import track_store as ts
 from deepseis_pvt.observable_kernels import locate, observe, reached, travel_time
 from deepseis_pvt.track_store import TrackStore
@@ -136,6 +136,25 @@ class ObservablesBuilder:
             s.ints, s.floats, s.head, s.tail, self._breaks, sample_index, fraction,
             self.sample_rate_hz, self.row, self.transmit_ms, self.code_ms, self._tau,
         )  # fmt: skip
+
+    def bit_ms(self) -> FloatArray:
+        """Return the time since the last bit edge where located [ms]; NaN where none is known.
+
+        Integrations of a whole bit begin at its edge, to a sample.
+        """
+        s, out = self.store, np.full(len(self.row), np.nan)
+        bit_samples = 0.019 * self.sample_rate_hz
+        for i in np.flatnonzero(self.row >= 0):
+            row = s.ints[i, self.row[i]]
+            if row[ts.FLAGS] & TrackingFlag.BIT_SYNC and row[ts.COUNT] > bit_samples:
+                early = s.floats[i, self.row[i], 0] > 511.5
+                out[i] = self.code_ms[i] - early
+        return out
+
+    def doppler_and_cn0(self, numbers: list[int]) -> tuple[FloatArray, FloatArray]:
+        """Return NCO Doppler [Hz] and C/N0 [dB-Hz] of located rows."""
+        rows = self.store.floats[numbers, self.row[numbers]]
+        return rows[:, 3] + rows[:, 4] * self._tau[numbers], rows[:, 8]
 
     def build(
         self, sample_index: int, fraction: float, gps_ns: int, valid_through: int

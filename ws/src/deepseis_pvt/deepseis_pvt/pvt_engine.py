@@ -16,6 +16,7 @@ import numpy as np
 from deepseis_core.config import setting
 from deepseis_core.constants import NS_PER_S, NS_PER_WEEK, SPEED_OF_LIGHT
 from deepseis_core.ephemeris import states_from_pseudoranges
+from deepseis_core.gps_time import GpsTime
 from deepseis_core.types import (
     Ephemeris,
     FloatArray,
@@ -38,6 +39,11 @@ from deepseis_pvt.track_store import TrackStore
 
 FIRST_TRAVEL_MS = 68
 """Travel time assumed of the nearest satellite before the receiver's clock is known [ms]."""
+
+COUNTED = (
+    *("attempts", "epochs", "empty_epochs", "forced", "predicted_transmit_times"),
+    *("positions", "no_position", "rejected", "inconsistent", "clock_jumps"),
+)
 
 
 @dataclass(frozen=True)
@@ -106,15 +112,21 @@ class PvtEngine:
         self._attempt = 0
         self._next_ns = 0
         self._state: FloatArray | None = None
-        self._drift = 0.0
-        names = ("attempts", "epochs", "empty_epochs", "forced", "predicted_transmit_times")
-        names += ("positions", "no_position", "rejected", "inconsistent", "clock_jumps")
-        self._counts = dict.fromkeys(names, 0)
+        self._counts = dict.fromkeys(COUNTED, 0)
 
     @property
     def statistics(self) -> dict[str, int]:
         """Counts since the start, for diagnostics."""
         return {**self._counts, **self.builder.counts, **self.store.counts}
+
+    def newest_sample(self) -> int:
+        """Return the last sample that any satellite has published through."""
+        return int(self.store.published.max(initial=-1))
+
+    @staticmethod
+    def utc_ns(observations: Observations) -> int:
+        """Return the UTC of an epoch in Unix nanoseconds."""
+        return GpsTime(observations.week, observations.tow_ns).to_utc_ns()
 
     def push_epochs(self, epochs: TrackingEpochs) -> None:
         """Take the integrations of one satellite and IF block."""
@@ -189,9 +201,20 @@ class PvtEngine:
             name = self.store.satellites[i]
             item = self.book.find(name, sample, tow_ms * NS_PER_MS, week_known=False)
             if item is not None:
-                found[i] = (week_of(item[0], tow_ms) * (NS_PER_WEEK // NS_PER_MS) + tow_ms, item[1])
+                found[i] = (
+                    week_of(item[0], tow_ms) * (NS_PER_WEEK // NS_PER_MS) + tow_ms,
+                    item[1],
+                )
         if len(found) < 4 and self.assistance is not None:
-            return resolve_start(self.assistance, self.builder, self.book, sample)
+            coarse = GridClock(self.sample_rate_hz, self.assistance.gps_ns_at_sample_0)
+            return resolve_start(
+                self.assistance,
+                self.builder,
+                self.store.satellites,
+                self.book,
+                sample,
+                coarse.gps_ns_at(sample),
+            )
         return found
 
     def _solve_first(
@@ -295,7 +318,7 @@ class PvtEngine:
                 states_from_pseudoranges(packed, o.week, o.tow_ns, pseudorange),
                 pseudorange,
                 np.where(locked, o.carrier_doppler_hz[chosen], np.nan),
-                o.cn0_dbhz[chosen],
+                o.cn0_dbhz[chosen].astype(np.float64),
                 tow=o.tow_ns / NS_PER_S,
                 klobuchar=self.book.klobuchar(o.sample_index),
                 start=self._state,

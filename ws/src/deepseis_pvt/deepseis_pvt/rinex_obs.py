@@ -8,7 +8,6 @@ killed process loses one second at most.
 from __future__ import annotations
 
 import datetime as dt
-import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ import numpy as np
 from deepseis_core.constants import NS_PER_S
 from deepseis_core.errors import InputError
 from deepseis_core.gps_time import GpsTime
+from deepseis_core.rinex_nav import rinex3_name
 from deepseis_core.types import FloatArray, Observations
 
 OBSERVATION_TYPES = "C1C L1C D1C S1C"
@@ -53,49 +53,6 @@ class RinexStation:
             raise InputError(
                 f"station name {self.name!r}", "is not nine letters and digits", "as in DSEI00CHN"
             )
-
-
-def sampling_field(interval: float) -> str:
-    """Return the data frequency of a long file name for a sampling interval [s].
-
-    Examples
-    --------
-    >>> [sampling_field(x) for x in (0.01, 0.02, 0.1, 1.0, 30.0)]
-    ['01C', '50Z', '10Z', '01S', '30S']
-    """
-    if interval < 1.0:
-        rate_hz = round(1.0 / interval)
-        return f"{rate_hz:02d}Z" if rate_hz < 100 else f"{round(rate_hz / 100):02d}C"
-    return f"{round(interval):02d}S" if interval < 100 else f"{round(interval / 60):02d}M"
-
-
-def period_field(seconds: float) -> str:
-    """Return the file period of a long file name, rounded up to whole minutes, hours or days.
-
-    Examples
-    --------
-    >>> [period_field(x) for x in (40.0, 5400.0, 86400.0, 9e5)]
-    ['01M', '90M', '24H', '11D']
-    """
-    for unit, length in (("M", 60), ("H", 3600), ("D", 86400)):
-        count = max(1, math.ceil(seconds / length - 1e-9))
-        if count <= 99:
-            return f"{count:02d}{unit}"
-    return "00U"
-
-
-def long_name(station: str, start: GpsTime, interval: float, seconds: float) -> str:
-    """Return the RINEX 3 name of a GPS observation file (RINEX 3.05, table A1).
-
-    Examples
-    --------
-    >>> long_name("DSEI00CHN", GpsTime.from_calendar(2022, 1, 1, 2, 30), 0.02, 40.0)
-    'DSEI00CHN_R_20220010230_01M_50Z_GO.rnx'
-    """
-    year, _, _, hour, minute, _ = start.to_calendar()
-    day = start.day_of_year()
-    fields = f"{period_field(seconds)}_{sampling_field(interval)}"
-    return f"{station.upper()}_R_{year:04d}{day:03d}{hour:02d}{minute:02d}_{fields}_GO.rnx"
 
 
 def epoch_line(time: GpsTime, n_satellites: int) -> str:
@@ -224,7 +181,9 @@ class RinexObsWriter:
         self._file.close()
         self._file = None
         seconds = self._last.diff_ns(self._start) / NS_PER_S + self._interval
-        name = long_name(self.station.name, self._start, self._interval, seconds)
+        name = rinex3_name(
+            self.station.name, self._start, seconds, "GO", interval_s=self._interval
+        )
         self.path = self.path.replace(self.folder / name)
         return self.path
 

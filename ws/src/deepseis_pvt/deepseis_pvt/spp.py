@@ -6,9 +6,9 @@ modelled per satellite as::
     variance = (code_sd / sin el)^2 + ephemeris_sd^2 + (0.5 I)^2 + (tropo_sd / sin el)^2
 
 with I the Klobuchar delay, which removes about half of the ionosphere; with weighting ``cn0`` the
-code's part is code_sd 10^((45 - C/N0) / 20) instead. A chi-square test of the weighted residuals finds
-out whether an outlier is present; the satellite without which the rest agrees best is left out,
-one at a time (B. W. Parkinson and P. Axelrad, "Autonomous GPS integrity monitoring using the
+code's part is code_sd 10^((45 - C/N0) / 20) instead. A chi-square test of the weighted residuals
+finds out whether an outlier is present; the satellite without which the rest agrees best is left
+out, one at a time (B. W. Parkinson and P. Axelrad, "Autonomous GPS integrity monitoring using the
 pseudorange residual", Navigation 35(2), 1988).
 """
 
@@ -97,7 +97,7 @@ class SppSolver:
                 c.tropo_sd,
             ]
         )
-        self._limits = chi2.isf(c.false_alarm_probability, np.arange(1, 65)).tolist()
+        self._limits = [float(chi2.isf(c.false_alarm_probability, n)) for n in range(1, 65)]
 
     def solve(
         self,

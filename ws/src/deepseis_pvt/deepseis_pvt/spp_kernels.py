@@ -6,11 +6,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from deepseis_core.atmosphere import klobuchar_point, saastamoinen_point
 from deepseis_core.constants import GPS_EARTH_RATE as EARTH_RATE
 from deepseis_core.constants import SPEED_OF_LIGHT as C
 from deepseis_core.ephemeris import CLOCK, CLOCK_RATE
 from deepseis_core.geodesy import geodetic_point
-from deepseis_core.propagation import klobuchar_point, saastamoinen_point
 from deepseis_core.types import FloatArray
 
 Flags = NDArray[np.bool_]
@@ -20,8 +20,8 @@ USED, RESIDUAL, VARIANCE, ELEVATION, AZIMUTH, EX, EY, EZ = range(8)
 azimuth [rad]; unit vector from the receiver to the satellite."""
 
 MASK, SINE_ON, EPHEMERIS_SD, IONO_ON, TROPO_ON, IONO_PART, TROPO_SD = range(7)
-"""Columns of ``model``: elevation mask [rad]; 1 where code noise grows as 1/sin(elevation);
-ephemeris sigma [m]; switches; ionosphere left over [-] and troposphere left over at the zenith [m]."""
+"""Fields of ``model``: elevation mask [rad]; 1 where code noise grows as 1/sin(elevation);
+ephemeris sigma [m]; switches; part of the ionosphere [-] and zenith troposphere [m] left over."""
 
 
 @njit(cache=True, nogil=True)
@@ -78,9 +78,7 @@ def line_of_sight(
 
 
 @njit(cache=True, nogil=True)
-def look_angles(
-    lat: float, lon: float, ex: float, ey: float, ez: float
-) -> tuple[float, float]:
+def look_angles(lat: float, lon: float, ex: float, ey: float, ez: float) -> tuple[float, float]:
     """Return elevation and azimuth [rad] of a unit vector at a geodetic direction."""
     sin_lat, cos_lat, sin_lon, cos_lon = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
     east = cos_lon * ey - sin_lon * ex
@@ -120,12 +118,12 @@ def form_residuals(
             variance = code_sd**2 + model[EPHEMERIS_SD] ** 2
             if model[IONO_ON] > 0.0 and elevation > 0.0:
                 iono = klobuchar_point(
-                    klobuchar, lat, lon, elevation, geometry[i, AZIMUTH], tow
+                    klobuchar[:4], klobuchar[4:], lat, lon, elevation, geometry[i, AZIMUTH], tow
                 )
                 delay += iono
                 variance += (model[IONO_PART] * iono) ** 2
             if model[TROPO_ON] > 0.0 and elevation > 0.0:
-                delay += saastamoinen_point(lat, height, elevation)
+                delay += saastamoinen_point(lat, height, elevation, 0.7)
                 variance += (model[TROPO_SD] / sine) ** 2
         geometry[i, ELEVATION] = elevation
         geometry[i, VARIANCE] = variance

@@ -94,7 +94,7 @@ def chip_window(windows, bits, chip, millisecond):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, nogil=True)
-def add_satellite(out_i, out_q, phase, rotation, code, code_rate, amplitude, windows, bits, scratch):  # type: ignore[no-untyped-def]
+def add_satellite(out_i, out_q, phase, rotation, code, code_rate, period, amplitude, windows, bits, scratch):  # type: ignore[no-untyped-def]
     """Add one satellite to a tile.
 
     Parameters
@@ -103,7 +103,9 @@ def add_satellite(out_i, out_q, phase, rotation, code, code_rate, amplitude, win
     phase, rotation : float
         Carrier phase at the tile's first sample [cycles] and its increment a sample.
     code, code_rate : float
-        Code phase from the beginning of ``bits`` [chips], and its increment a sample.
+        Code phase from the beginning of code period ``period`` [chips], its increment a sample.
+    period : int
+        Counted from the beginning of ``bits``.
     amplitude : float
     windows, bits : ndarray
         See :func:`chip_window`.
@@ -119,11 +121,9 @@ def add_satellite(out_i, out_q, phase, rotation, code, code_rate, amplitude, win
         position = code + code_rate * start
         millisecond = np.int64(position / 1023.0)
         within = position - 1023.0 * millisecond
-        if within < 0.0:
-            within, millisecond = 0.0, millisecond
         chip = min(np.int64(within), 1022)
         fraction = U32(min((within - chip) * 134217728.0, 134217727.0))
-        window = chip_window(windows, bits, chip, millisecond)
+        window = chip_window(windows, bits, chip, period + millisecond)
         end = start + group
         add_group(
             out_i[start:end], out_q[start:end], table_c, table_s, F32(c), F32(s),
@@ -146,7 +146,7 @@ def quantise(x, inverse_step, odd, limit, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def synthesise(first_tile, first_segment, tiles_per_segment, phase, code, amplitude, windows, bits, carrier, group, seed, noise, levels, out_i, out_q):  # type: ignore[no-untyped-def]
+def synthesise(first_tile, first_segment, tiles_per_segment, phase, code, period, amplitude, windows, bits, carrier, group, seed, noise, levels, out_i, out_q):  # type: ignore[no-untyped-def]
     """Make whole tiles of quantised IF samples.
 
     Parameters
@@ -156,8 +156,10 @@ def synthesise(first_tile, first_segment, tiles_per_segment, phase, code, amplit
     first_segment, tiles_per_segment : int
         Segment number of the polynomials' first row, and a segment's length.
     phase, code : ndarray of float64, shape (n_satellites, n_segments, 4)
-        Carrier phase [cycles] and code phase [chips, from the beginning of ``bits``] as cubics
+        Carrier phase [cycles] and code phase [chips, from the beginning of ``period``] as cubics
         in the fraction of the segment.
+    period : ndarray of int64, shape (n_satellites, n_segments)
+        Code periods from the beginning of ``bits``.
     amplitude : ndarray of float64, shape (n_satellites, n_segments)
         In units of the noise's standard deviation per component.
     windows : ndarray of uint32, shape (n_satellites, 1023)
@@ -201,7 +203,7 @@ def synthesise(first_tile, first_segment, tiles_per_segment, phase, code, amplit
             p = sign * (p0 - np.floor(p0)) + if_phase
             add_satellite(
                 tile_i, tile_q, p, sign * (p1 - p0) / TILE + if_step,
-                c0, (c1 - c0) / TILE, amplitude[m, row], windows[m], bits[m], scratch,
+                c0, (c1 - c0) / TILE, period[m, row], amplitude[m, row], windows[m], bits[m], scratch,
             )  # fmt: skip
         quantise(tile_i, inverse_step, odd, limit, out_i[k * TILE : (k + 1) * TILE])
         quantise(tile_q, inverse_step, odd, limit, out_q[k * TILE : (k + 1) * TILE])

@@ -47,7 +47,10 @@ class SignalSegments:
     first_segment : int
         Number of the first segment, counted from sample 0.
     carrier_phase_cycles, code_phase_chips : ndarray, shape (n_satellites, n_segments, 4)
-        Cubics in the fraction of the segment. Code phase counts from the first data bit.
+        Cubics in the fraction of the segment. Code phase counts from the beginning of
+        ``code_period``.
+    code_period : ndarray of int64, shape (n_satellites, n_segments)
+        Code periods since the first data bit began.
     cn0_dbhz : ndarray, shape (n_satellites, n_segments)
         Minus infinity: no signal.
     bits : ndarray of uint8, shape (n_satellites, n_bits)
@@ -57,6 +60,7 @@ class SignalSegments:
     first_segment: int
     carrier_phase_cycles: FloatArray
     code_phase_chips: FloatArray
+    code_period: NDArray[np.int64]
     cn0_dbhz: FloatArray
     bits: NDArray[np.uint8]
 
@@ -158,7 +162,7 @@ class IfSynthesizer:
         out_i, out_q = np.empty(shape, self.format.dtype), np.empty(shape, self.format.dtype)
         synthesise(
             first, segments.first_segment, self.tiles_per_segment,
-            segments.carrier_phase_cycles, segments.code_phase_chips,
+            segments.carrier_phase_cycles, segments.code_phase_chips, segments.code_period,
             self.amplitude(segments.cn0_dbhz), self._windows, segments.bits,
             self._carrier, self._group, self._seed, self._noise, self._levels, out_i, out_q,
         )  # fmt: skip

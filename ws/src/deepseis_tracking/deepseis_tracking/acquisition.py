@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from deepseis_core.config import check, setting
-from deepseis_core.errors import InputError
 from numpy.typing import NDArray
 from scipy import fft
 
-
+from deepseis_core.config import check, setting
+from deepseis_core.errors import InputError
 from deepseis_tracking import acquisition_codes as codes
 from deepseis_tracking import acquisition_fine as fine
 from deepseis_tracking import acquisition_signal as sig
@@ -185,17 +184,14 @@ class Acquirer:
 
     def _replica(self, satellite: str) -> sig.Complex64Array:
         if satellite not in self._replicas:
-            self._replicas[satellite] = sig.replica_spectrum(
-                codes.code(satellite), self._size
-            )
+            self._replicas[satellite] = sig.replica_spectrum(codes.code(satellite), self._size)
         return self._replicas[satellite]
 
-    def _search_rows(
-        self, conditioned: sig.Conditioned, rows: _Rows
-    ) -> dict[str, _Peak]:
+    def _search_rows(self, conditioned: sig.Conditioned, rows: _Rows) -> dict[str, _Peak]:
         """Return the largest cell of each satellite over its rows."""
         config, size = self.config, self._size
         peaks = {name: _Peak(rows=len(own)) for name, own in rows.items()}
+        matched = {name: np.conj(self._replica(name)) for name in rows}
         wanted = {name: frozenset(own.tolist()) for name, own in rows.items()}
         every = sorted(frozenset().union(*wanted.values()))
         blocks = np.empty((config.noncoherent_count, size), np.complex64)
@@ -215,36 +211,47 @@ class Acquirer:
             doppler_hz = row * self._row_hz
             slip = sig.code_slip(doppler_hz, conditioned.rate_hz, size, times)
             sig.shift_and_align(spectra, shift, slip, aligned)
+            is_zero = conditioned.is_real and row == 0
             for name, peak in peaks.items():
                 if row in wanted[name]:
-                    self._correlate(aligned, self._replica(name), doppler_hz, peak)
+                    weight = self._zero_row_weight(name, peak.rows) if is_zero else 1.0
+                    self._correlate(aligned, matched[name], doppler_hz, weight, peak)
         return peaks
+
+    def _zero_row_weight(self, satellite: str, row_count: int) -> float:
+        """Return the weight of the row at 0 Hz of a real signal.
+
+        Its correlations are real too, so that noise has half the degrees of freedom; the weight
+        brings the threshold for those down to that of the other rows.
+        """
+        normal = self._threshold(satellite, row_count)
+        return normal / self._threshold(satellite, row_count, 0.5)
 
     def _correlate(
         self,
         aligned: sig.Complex64Array,
-        replica: sig.Complex64Array,
+        matched: sig.Complex64Array,
         doppler_hz: float,
+        weight: float,
         peak: _Peak,
     ) -> None:
         """Search one Doppler row of one satellite, keeping the peak if it is larger."""
-        np.multiply(aligned, np.conj(replica), out=self._product)
-        correlation = fft.ifft(
-            self._product, axis=1, overwrite_x=True, norm="forward", workers=1
-        )
+        np.multiply(aligned, matched, out=self._product)
+        correlation = fft.ifft(self._product, axis=1, overwrite_x=True, norm="forward", workers=1)
         sets = 1 + self.config.alternate_blocks
         for first in range(sets):
             cell, power, mean = sig.accumulate(correlation, first, sets, GUARD, self._power)
-            if power / mean > peak.statistic:
-                peak.statistic, peak.cell, peak.doppler_hz = power / mean, int(cell), doppler_hz
+            statistic = weight * power / mean
+            if statistic > peak.statistic:
+                peak.statistic, peak.cell, peak.doppler_hz = statistic, int(cell), doppler_hz
 
-    def _threshold(self, satellite: str, row_count: int) -> float:
+    def _threshold(self, satellite: str, row_count: int, freedom: float = 1.0) -> float:
         sets = 1 + self.config.alternate_blocks
         cells = stat.CELL_INDEPENDENCE * self._size * row_count * sets
         return stat.detection_threshold(
             self.config.false_alarm_probability,
             cells,
-            self.config.noncoherent_count / sets,
+            self.config.noncoherent_count / sets * freedom,
             stat.reference_cells(self._replica(satellite)),
         )
 
@@ -276,14 +283,14 @@ class Acquirer:
         """Search again, with the strong satellites removed, for what they may have faked.
 
         C/A codes correlate with each other up to -21.6 dB, whatever their Doppler difference
-        modulo 1 kHz. Detections that weak against the strongest signal (GPS, or QZSS and SBAS,
-        which are searched for where anything is weak enough to stem from them) must pass again
-        in a signal from which all strong ones have been subtracted.
+        modulo 1 kHz. Detections that weak against the strongest signal must pass again in a
+        signal from which all strong ones have been subtracted. Signals that were not asked for
+        are searched as well where anything is weak enough to stem from them.
         """
         present = [item for item in found.values() if item.detected]
         weakest = min((item.cn0_dbhz for item in present), default=np.inf)
         if self.config.search_interferers and weakest < STRONGEST_DBHZ - LEAK_DB:
-            present += self._interferers(conditioned)
+            present += self._interferers(conditioned, rows)
         top = max((item.cn0_dbhz for item in present), default=-np.inf)
         doubtful = {
             item.satellite: rows[item.satellite]
@@ -297,12 +304,13 @@ class Acquirer:
         peaks = self._search_rows(cleaned, doubtful)
         return {name: self._judge(cleaned, name, peak) for name, peak in peaks.items()}
 
-    def _interferers(self, conditioned: sig.Conditioned) -> list[Detection]:
-        """Find QZSS and SBAS, whose Doppler is smaller than that of GPS."""
+    def _interferers(self, conditioned: sig.Conditioned, asked: _Rows) -> list[Detection]:
+        """Find who else is there: GPS not asked for, QZSS and SBAS (of less Doppler)."""
         centre = self.config.doppler_centre_hz
         span = max(self.config.doppler_span_hz - OTHERS_NARROWER_HZ, self._row_hz)
         windows = dict.fromkeys(codes.OTHERS, (centre - span, centre + span))
-        rows = {name: self._rows(name, windows, conditioned.is_real) for name in windows}
+        names = [name for name in codes.GPS + codes.OTHERS if name not in asked]
+        rows = {name: self._rows(name, windows, conditioned.is_real) for name in names}
         peaks = self._search_rows(conditioned, rows)
         judged = [self._judge(conditioned, name, peak) for name, peak in peaks.items()]
         return [item for item in judged if item.detected]

@@ -5,8 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from deepseis_core import ca_code
 from numpy.typing import NDArray
+
+from deepseis_core import ca_code
 
 GPS = tuple(f"G{prn:02d}" for prn in range(1, 33))
 

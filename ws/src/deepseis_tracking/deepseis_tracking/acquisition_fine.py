@@ -71,12 +71,15 @@ def refine(
     noise -= excess / count / reference  # the peak's own share of the mean over all cells
     cn0_hz = max((power / noise - len(spans)) / (count * PERIOD), 1.0)
     cn0_hz /= stat.band_fraction(replica)
-    deviation = stat.doppler_crlb_hz(cn0_hz, spans[:, 0] * PERIOD)
+    deviation = np.hypot(stat.doppler_crlb_hz(cn0_hz, spans[:, 0] * PERIOD), DOPPLER_FLOOR_HZ)
+    resolution_hz = 1 / (PERIOD * float(spans.max()))
+    if conditioned.is_real and abs(doppler_hz + frequency) < resolution_hz:
+        deviation = resolution_hz / 2  # the lines at +f and -f run into each other
     return FineEstimate(
         float((code_phase_chips + delay) % sig.CODE_LENGTH),
-        doppler_hz + frequency,
-        float(np.hypot(deviation, DOPPLER_FLOOR_HZ)),
-        cn0_hz,
+        float(doppler_hz + frequency),
+        float(deviation),
+        float(cn0_hz),
     )
 
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
-CELL_INDEPENDENCE = 0.85
+from deepseis_core.types import FloatArray
+
+CELL_INDEPENDENCE = 0.92
 """Independent cells per cell searched (half-chip, half-bin grid); Monte Carlo in the tests."""
 
 
@@ -57,7 +60,7 @@ def detection_threshold(
     return float(reference_count * (1 - ratio) / ratio)
 
 
-def doppler_crlb_hz(cn0_hz: float, spans: np.ndarray) -> float:
+def doppler_crlb_hz(cn0_hz: float, spans: FloatArray) -> float:
     """Return the Cramer-Rao bound of the Doppler from coherent spans of unrelated phase.
 
     A tone over ``T`` has ``var(omega) = 6 / (cn0 T**3)``; information of the spans adds.
@@ -78,7 +81,7 @@ def doppler_crlb_hz(cn0_hz: float, spans: np.ndarray) -> float:
     return float(1 / (2 * np.pi * np.sqrt(information)))
 
 
-def reference_cells(replica: np.ndarray) -> float:
+def reference_cells(replica: NDArray[np.complex64]) -> float:
     """Return how many independent cells one Doppler row of code phases is worth.
 
     Noise through the replica has the spectrum ``|C_k|**2``; the variance of its mean power is
@@ -88,36 +91,6 @@ def reference_cells(replica: np.ndarray) -> float:
     return float(np.sum(power) ** 2 / np.sum(power**2))
 
 
-def band_fraction(replica: np.ndarray) -> float:
+def band_fraction(replica: NDArray[np.complex64]) -> float:
     """Return the fraction of the signal's power inside the working band."""
     return float(np.sum(np.abs(replica.astype(np.complex128)) ** 2))
-
-
-def cross_correlation(
-    strong: np.ndarray, weak: np.ndarray, phase_chips: float, weak_phase_chips: float,
-    difference_hz: float, coherent_s: float,
-) -> float:
-    """Return the power that one satellite leaves in another's cell, relative to its own.
-
-    Parameters
-    ----------
-    strong, weak : ndarray of complex, shape (size,)
-        Replica spectra of the satellite that leaks and of the one searched for.
-    phase_chips, weak_phase_chips : float
-        Code phases of both at the first sample [chips]; the largest leak within two chips
-        counts, as codes drift against each other.
-    difference_hz : float
-        Doppler of the strong satellite minus that of the cell [Hz]. Codes repeat every
-        millisecond, so that leaks recur modulo 1 kHz.
-    coherent_s : float
-        Coherent integration [s].
-    """
-    size = len(strong)
-    harmonic = np.fft.fftfreq(size, 1 / size)
-    shift = round(difference_hz / 1000)
-    received = np.roll(strong * np.exp(2j * np.pi * harmonic * phase_chips / 1023), shift)
-    reach = np.arange(-2.0, 2.01, 0.25)
-    matched = np.exp(-2j * np.pi * np.outer(weak_phase_chips + reach, harmonic) / 1023)
-    leak = matched @ (received * np.conj(weak))
-    gain = np.sinc((difference_hz - 1000 * shift) * coherent_s)
-    return float(np.max(np.abs(leak)) ** 2 * gain**2 / np.sum(np.abs(strong) ** 2) ** 2)

@@ -42,15 +42,17 @@ def ns_from_stamp(stamp: Time) -> int:
 def _plan(value_type: type, msg_type: Any) -> tuple[tuple[str, str, Any], ...]:
     """How each field is carried: array with dtype, names, or scalar."""
     plan = []
+    annotations = {item.name: str(item.type) for item in fields(value_type)}
     for name, text in msg_type.get_fields_and_field_types().items():
-        if name not in {item.name for item in fields(value_type)}:
+        if name not in annotations:
             continue
         base = text.removeprefix("sequence<").split("[")[0].rstrip(">")
         if base == "string":
             kind = "names" if text.startswith("sequence<") else "text"
             plan.append((name, kind, None))
         elif text.startswith("sequence<") or "[" in text:
-            plan.append((name, "array", _DTYPES[base]))
+            is_tuple = annotations[name].startswith("tuple")
+            plan.append((name, "numbers" if is_tuple else "array", _DTYPES[base]))
         else:
             plan.append((name, "float" if base in ("double", "float") else base, None))
     return tuple(plan)
@@ -62,7 +64,7 @@ def to_msg(value: Any, msg_type: Any, utc_ns: int) -> Any:
     msg.header.stamp = stamp_from_ns(utc_ns)
     for name, kind, dtype in _plan(type(value), msg_type):
         item = getattr(value, name)
-        if kind == "array":
+        if kind in ("array", "numbers"):
             item = np.ascontiguousarray(item, dtype).reshape(-1)
         elif kind == "names":
             item = list(item)
@@ -83,6 +85,8 @@ def from_msg(msg: Any, value_type: type[Value]) -> Value:
         item = getattr(msg, "_" + name)
         if kind == "array":
             item = np.asarray(item, dtype)
+        elif kind == "numbers":
+            item = tuple(np.asarray(item, dtype).tolist())
         elif kind == "names":
             item = tuple(item)
         values[name] = item

@@ -1,0 +1,221 @@
+"""The one description of the graph: nodes, topics, who waits for whom.
+
+Launch files, the supervisor, the recorder and the compose file all come from here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+ALL_SATELLITES = tuple(f"G{prn:02d}" for prn in range(1, 33))
+
+TYPES: Mapping[str, tuple[str, str]] = {
+    "if/samples": ("deepseis_msgs/msg/IfBlock", "stream"),
+    "acquisition/request": ("deepseis_msgs/msg/AcquisitionRequest", "latched"),
+    "acquisition/result": ("deepseis_msgs/msg/AcquisitionResult", "latched"),
+    "tracking/<sat>/epochs": ("deepseis_msgs/msg/TrackingEpochs", "stream"),
+    "gnss/ephemeris": ("deepseis_msgs/msg/Ephemeris", "latched"),
+    "gnss/observations": ("deepseis_msgs/msg/Observations", "stream"),
+    "gnss/pvt": ("deepseis_msgs/msg/Pvt", "stream"),
+    "gnss/fix": ("sensor_msgs/msg/NavSatFix", "stream"),
+    "aiding/doppler": ("deepseis_msgs/msg/DopplerAiding", "stream"),
+    "/diagnostics": ("diagnostic_msgs/msg/DiagnosticArray", "stream"),
+}
+"""Type and quality of service of every topic that is recorded."""
+
+
+@dataclass(frozen=True)
+class GraphConfig:
+    """What the station runs.
+
+    ``one_process`` hosts all satellites together; otherwise each has its own process.
+    ``aiding`` names who publishes aiding: empty or ``truth`` (bench only).
+    ``parameters`` are overrides by node kind (``if_source``, ``tracker``, ``pvt``, ...).
+    """
+
+    source: Mapping[str, Any]
+    sample_rate_hz: float
+    satellites: tuple[str, ...] = ALL_SATELLITES
+    mode: str = "lockstep"
+    one_process: bool = True
+    aiding: str = ""
+    record_dir: str = ""
+    record_if: bool = True
+    output_dir: str = ""
+    parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class NodeSpec:
+    """One process of the graph: ``name`` is its flow member."""
+
+    name: str
+    package: str
+    executable: str
+    kind: str
+    publishes: tuple[str, ...]
+    subscribes: tuple[str, ...]
+    node_name: str
+    parameters: Mapping[str, Any]
+
+
+def _epoch_topics(satellites: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"tracking/{satellite}/epochs" for satellite in satellites)
+
+
+def _trackers(config: GraphConfig) -> list[NodeSpec]:
+    """Return the tracker processes: one container, or one for each satellite."""
+    inputs = ("if/samples", "acquisition/result")
+    inputs += ("aiding/doppler",) if config.aiding else ()
+    common = {"aiding": bool(config.aiding), "wait_acquisition": True}
+
+    def spec(name: str, executable: str, node_name: str, satellites: tuple[str, ...]) -> NodeSpec:
+        outputs = (*_epoch_topics(satellites), "gnss/ephemeris", "acquisition/request")
+        own = {"satellite": satellites[0]} if executable == "tracker" else {}
+        own["satellites"] = list(config.satellites)  # type: ignore[assignment]
+        outputs = (*outputs, "/diagnostics")
+        return NodeSpec(
+            name,
+            "deepseis_tracking",
+            executable,
+            "tracker",
+            outputs,
+            inputs,
+            node_name,
+            common | own,
+        )
+
+    if config.one_process:
+        return [spec("trackers", "tracker_container", "trackers", config.satellites)]
+    return [
+        spec(f"trackers_{s.lower()}", "tracker", f"trackers_{s.lower()}", (s,))
+        for s in config.satellites
+    ]
+
+
+def topic_type(topic: str) -> tuple[str, str]:
+    """Type and quality of service of a topic."""
+    if topic.startswith("tracking/"):
+        return TYPES["tracking/<sat>/epochs"]
+    return TYPES[topic]
+
+
+def build_graph(config: GraphConfig) -> list[NodeSpec]:
+    """Describe every process of the graph, with all its parameters.
+
+    Parameters
+    ----------
+    config : GraphConfig
+        What to run.
+
+    Returns
+    -------
+    list of NodeSpec
+        In the order in which they are to be started; the source is the last.
+    """
+    satellites = list(config.satellites)
+    trackers = _trackers(config)
+    tracker_names = [spec.name for spec in trackers]
+    nodes = [
+        NodeSpec(
+            "acquisition",
+            "deepseis_tracking",
+            "acquisition",
+            "acquisition",
+            ("acquisition/result", "/diagnostics"),
+            ("if/samples", "acquisition/request"),
+            "acquisition",
+            {"satellites": satellites, "trackers": tracker_names},
+        ),
+        *trackers,
+        NodeSpec(
+            "pvt",
+            "deepseis_pvt",
+            "pvt",
+            "pvt",
+            ("gnss/observations", "gnss/pvt", "gnss/fix", "/diagnostics"),
+            (*_epoch_topics(config.satellites), "gnss/ephemeris"),
+            "pvt",
+            {
+                "satellites": satellites,
+                "trackers": tracker_names,
+                "sample_rate_hz": config.sample_rate_hz,
+                "output_dir": config.output_dir,
+            },
+        ),
+    ]
+    if config.aiding == "truth":
+        nodes.append(
+            NodeSpec(
+                "truth_aiding",
+                "deepseis_ins",
+                "truth_aiding",
+                "truth_aiding",
+                ("aiding/doppler", "/diagnostics"),
+                (),
+                "truth_aiding",
+                {"satellites": satellites},
+            )
+        )
+    source = NodeSpec(
+        "if_source",
+        "deepseis_frontend",
+        "if_source",
+        "if_source",
+        ("if/samples", "/diagnostics"),
+        (),
+        "if_source",
+        dict(config.source),
+    )
+    if config.record_dir:
+        nodes.append(_recorder(config, [*nodes, source]))
+    members = [spec.name for spec in nodes]
+    nodes.append(_with(source, {"members": members}))
+    return [_finish(spec, nodes, config) for spec in nodes]
+
+
+def _recorder(config: GraphConfig, others: list[NodeSpec]) -> NodeSpec:
+    topics = sorted({topic for spec in others for topic in spec.publishes})
+    if not config.record_if:
+        topics.remove("if/samples")
+    entries = [" ".join((topic, *topic_type(topic))) for topic in topics]
+    return NodeSpec(
+        "recorder",
+        "deepseis_bringup",
+        "recorder",
+        "recorder",
+        (),
+        tuple(topics),
+        "recorder",
+        {
+            "directory": config.record_dir,
+            "topics": entries,
+            "members": [spec.name for spec in others if spec.name != "if_source"],
+        },
+    )
+
+
+def _with(spec: NodeSpec, extra: Mapping[str, Any]) -> NodeSpec:
+    return NodeSpec(
+        spec.name,
+        spec.package,
+        spec.executable,
+        spec.kind,
+        spec.publishes,
+        spec.subscribes,
+        spec.node_name,
+        {**spec.parameters, **extra},
+    )
+
+
+def _finish(spec: NodeSpec, nodes: list[NodeSpec], config: GraphConfig) -> NodeSpec:
+    """Add what follows from the graph as a whole: mode, expected subscribers, overrides."""
+    expected = []
+    for topic in spec.publishes:
+        count = sum(topic in other.subscribes for other in nodes)
+        if count:
+            expected.append(f"{topic}={count}")
+    extra: dict[str, Any] = {"mode": config.mode, "expected_subscribers": expected}
+    return _with(spec, extra | dict(config.parameters.get(spec.kind, {})))

@@ -1,0 +1,98 @@
+"""Node: records every topic of the graph, byte for byte, into one MCAP file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.node import Node
+from rosidl_runtime_py.utilities import get_message
+
+from deepseis_bringup.mcap_recording import BagWriter
+from deepseis_bringup.recording_queue import stamp_of_cdr
+from deepseis_core.config import setting
+from deepseis_core.errors import InputError
+from deepseis_core.ros import qos
+from deepseis_core.ros.flow import Flow, FlowConfig
+from deepseis_core.ros.main import Process, run
+from deepseis_core.ros.parameters import declare, reject_unknown
+from deepseis_msgs.msg import Watermark
+
+
+@dataclass(frozen=True)
+class RecorderConfig:
+    """What to record, and where."""
+
+    directory: str = setting("", "folder of the bag, made new [path]")
+    topics: list[str] = setting([], "entries: topic type qos [-]")
+    members: list[str] = setting([], "flow members whose end is the end of the recording [-]")
+    metadata: str = setting("", "JSON object of texts that goes into the bag's metadata [-]")
+    pace_member: str = setting("pvt", "without IF, acknowledge as far as this member [-]")
+
+
+class RecorderNode(Node):
+    """In: all topics given. Out: the bag, flow/recorder. Parameters: RecorderConfig."""
+
+    def __init__(self, process: Process) -> None:
+        super().__init__("recorder")
+        self.flow = Flow(self, process, "recorder", declare(self, FlowConfig))
+        self.config = declare(self, RecorderConfig)
+        reject_unknown(self)
+        if not self.config.directory:
+            raise InputError("parameter directory of recorder", "is empty", "name a new folder")
+        metadata = json.loads(self.config.metadata or "{}")
+        self.writer = BagWriter(self.config.directory, metadata=metadata)
+        self.records_if = False
+        self.last_if = -1
+        for entry in self.config.topics:
+            topic, type_name, profile = entry.split()
+            self.records_if |= topic == "if/samples"
+            self.record(topic, type_name, profile)
+        self.flow.follow(self.config.members, self.on_member)
+        self.create_timer(0.25, self.writer.flush)
+
+    def record(self, topic: str, type_name: str, profile: str) -> None:
+        """Subscribe to a topic's bytes."""
+        name = self.resolve_topic_name(topic)
+        chosen = qos.BY_NAME[profile]
+        self.writer.add_topic(name, type_name, profile)
+        is_if = topic == "if/samples"
+
+        def on_bytes(cdr: bytes, _info: Any = None) -> None:
+            stamp_ns = stamp_of_cdr(cdr)
+            self.writer.write(name, cdr, stamp_ns)
+            if is_if:
+                self.acknowledge_if(cdr)
+
+        self.create_subscription(get_message(type_name), topic, on_bytes, chosen, raw=True)
+
+    def acknowledge_if(self, cdr: bytes) -> None:
+        """Give the source its credit."""
+        from deepseis_bringup.recording_queue import if_block_end
+
+        self.last_if = if_block_end(cdr)
+        self.flow.send(self.last_if, self.last_if)
+
+    def on_member(self, msg: Watermark) -> None:
+        """Acknowledge without IF; end when everybody has."""
+        if not self.records_if and msg.node == self.config.pace_member:
+            self.flow.send(msg.consumed_through, msg.consumed_through)
+        others = self.flow.others
+        names = self.config.members
+        if names and not self.flow.ended:
+            if all(n in others and others[n].end_of_stream for n in names):
+                self.flow.finish()
+
+    def close(self) -> None:
+        """Finish the bag."""
+        self.writer.close()
+
+
+def main() -> None:
+    """Run the node."""
+    run(lambda process: process.add(RecorderNode(process)), "recorder")
+
+
+if __name__ == "__main__":
+    main()

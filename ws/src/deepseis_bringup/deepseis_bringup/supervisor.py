@@ -1,0 +1,205 @@
+"""Starts the graph's processes, watches them, ends them in order."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from deepseis_bringup import executables
+from deepseis_bringup.graph import NodeSpec
+from deepseis_core.errors import InputError
+
+STOP_SECONDS = 20.0
+"""Time a node has to finish its files after SIGINT [s]."""
+
+
+def parameter_file(spec: NodeSpec, folder: Path) -> Path:
+    """Write a node's parameters as ROS reads them; empty lists are left at their default."""
+    values = {k: v for k, v in spec.parameters.items() if not (isinstance(v, list) and not v)}
+    plain = {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
+    path = folder / f"{spec.name}.yaml"
+    path.write_text(yaml.safe_dump({"/**": {"ros__parameters": plain}}, sort_keys=True))
+    return path
+
+
+@dataclass
+class Supervisor:
+    """The processes of one graph.
+
+    Parameters
+    ----------
+    specs : list of NodeSpec
+        From `deepseis_bringup.graph.build_graph`.
+    folder : Path
+        For parameter files and logs.
+    namespace : str
+        The station's name, or empty.
+    environment : mapping
+        Added to the processes' environment, such as ROS_DOMAIN_ID.
+    """
+
+    specs: list[NodeSpec]
+    folder: Path
+    namespace: str = ""
+    environment: Mapping[str, str] = field(default_factory=dict)
+    processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+
+    def start(self) -> None:
+        """Start every process.
+
+        Raises
+        ------
+        InputError
+            A node is not installed.
+        """
+        for name in ("parameters", "logs"):
+            (self.folder / name).mkdir(parents=True, exist_ok=True)
+        for spec in self.specs:
+            self.processes[spec.name] = self._start(spec)
+
+    def _start(self, spec: NodeSpec) -> subprocess.Popen[bytes]:
+        parameters = parameter_file(spec, self.folder / "parameters")
+        try:
+            path = executables.executable(spec.package, spec.executable)
+        except executables.UnknownExecutableError as error:
+            raise InputError(f"node {spec.name}", str(error)) from None
+        arguments = ["--ros-args", "--params-file", str(parameters)]
+        if spec.node_name != spec.executable:
+            arguments += ["-r", f"{spec.executable}:__node:={spec.node_name}"]
+        if self.namespace:
+            arguments += ["-r", f"__ns:=/{self.namespace}"]
+        with self.log_of(spec.name).open("wb") as log:
+            return subprocess.Popen(
+                [str(path), *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                env={**os.environ, **self.environment},
+            )
+
+    def log_of(self, name: str) -> Path:
+        """Return the file with what a node printed."""
+        return self.folder / "logs" / f"{name}.log"
+
+    def last_line(self, name: str) -> str:
+        """Return the last thing a node printed."""
+        lines = self.log_of(name).read_text(errors="replace").strip().splitlines()
+        return lines[-1] if lines else "no message"
+
+    def failed(self) -> tuple[str, int] | None:
+        """Name the first process that ended badly, with its status."""
+        for name, process in self.processes.items():
+            status = process.poll()
+            if status not in (None, 0):
+                return name, int(status)
+        return None
+
+    def wait(
+        self,
+        until: str = "if_source",
+        *,
+        poll: Callable[[], None] = lambda: None,
+        timeout: float | None = None,
+    ) -> None:
+        """Wait for the process ``until`` to end well.
+
+        Raises
+        ------
+        InputError
+            A process failed (its last line is in the error), or time ran out.
+        """
+        started = time.monotonic()
+        while self.processes[until].poll() is None:
+            self._raise_failure()
+            poll()
+            if timeout is not None and time.monotonic() - started > timeout:
+                raise InputError(f"node {until}", f"did not end within {timeout:g} s")
+            time.sleep(0.02)
+        self._raise_failure()
+
+    def _raise_failure(self) -> None:
+        failure = self.failed()
+        if failure is None:
+            return
+        time.sleep(0.3)  # others name the culprit as well; the first bad input is the cause
+        culprits = [n for n, p in self.processes.items() if p.poll() == 2] or [failure[0]]
+        name = culprits[0]
+        status = self.processes[name].poll()
+        how = f"ended with status {status}" if (status or 0) > 0 else f"was killed ({status})"
+        raise NodeFailure(name, how, self.last_line(name), self.log_of(name))
+
+    def stop(self) -> None:
+        """End everything that still runs, the recorder last; kill what does not end."""
+        order = [n for n in self.processes if n != "recorder"] + ["recorder"]
+        for name in order:
+            process = self.processes.get(name)
+            if process is not None and process.poll() is None:
+                process.send_signal(signal.SIGINT)
+                if name == "recorder":
+                    break
+        deadline = time.monotonic() + STOP_SECONDS
+        for process in self.processes.values():
+            try:
+                process.wait(max(0.1, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def statuses(self) -> dict[str, int | None]:
+        """Return the exit status of every process."""
+        return {name: process.poll() for name, process in self.processes.items()}
+
+
+class NodeFailure(InputError):
+    """A node of the graph failed."""
+
+    def __init__(self, name: str, how: str, line: str, log: Path) -> None:
+        self.name = name
+        super().__init__(f"node {name}", f"{how}: {line}", f"log: {log}")
+
+
+@contextmanager
+def running(supervisor: Supervisor) -> Iterator[Supervisor]:
+    """Start the graph; end it whatever happens."""
+    try:
+        supervisor.start()
+        yield supervisor
+    finally:
+        supervisor.stop()
+
+
+@contextmanager
+def own_domain() -> Iterator[Mapping[str, str]]:
+    """Give the graph a DDS domain nobody else uses, unless ROS_DOMAIN_ID is set."""
+    if os.environ.get("ROS_DOMAIN_ID"):
+        yield {}
+        return
+    from domain_coordinator import domain_id
+
+    with domain_id() as number:
+        yield {"ROS_DOMAIN_ID": str(number)}
+
+
+def describe(specs: list[NodeSpec]) -> list[dict[str, Any]]:
+    """Return the graph as plain data, for the record."""
+    return [
+        {
+            "name": spec.name,
+            "package": spec.package,
+            "executable": spec.executable,
+            "publishes": list(spec.publishes),
+            "subscribes": list(spec.subscribes),
+            "parameters": dict(spec.parameters),
+        }
+        for spec in specs
+    ]

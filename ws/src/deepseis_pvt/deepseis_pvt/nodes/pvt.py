@@ -1,0 +1,176 @@
+"""Node: observables on the GPS-time grid, position, RINEX."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from sensor_msgs.msg import NavSatFix
+
+from deepseis_core.config import setting
+from deepseis_core.errors import InputError
+from deepseis_core.gps_time import GpsTime
+from deepseis_core.rinex_nav import read_rinex_nav
+from deepseis_core.ros import diagnostics, qos
+from deepseis_core.ros.convert import from_msg, ns_from_stamp, to_msg
+from deepseis_core.ros.flow import Flow, FlowConfig
+from deepseis_core.ros.main import Process, run
+from deepseis_core.ros.navsat import fix_from_pvt
+from deepseis_core.ros.parameters import declare, reject_unknown
+from deepseis_core.sample_clock import SampleClock
+from deepseis_core.types import Ephemeris as EphemerisValue
+from deepseis_core.types import Observations as ObservationsValue
+from deepseis_core.types import Pvt as PvtValue
+from deepseis_core.types import TrackingEpochs as TrackingEpochsValue
+from deepseis_msgs.msg import Ephemeris, Observations, Pvt, TrackingEpochs, Watermark
+from deepseis_pvt.observables import ObservablesConfig
+from deepseis_pvt.products import RinexProducts
+from deepseis_pvt.pvt_engine import PvtConfig, PvtEngine
+from deepseis_pvt.rinex_obs import RinexStation
+from deepseis_pvt.spp import SppConfig
+
+
+@dataclass(frozen=True)
+class NodeConfig:
+    """The node's place in the graph, and its files."""
+
+    satellites: list[str] = setting([], "satellites whose trackers exist [-]")
+    trackers: list[str] = setting([], "flow members that run the trackers [-]")
+    sample_rate_hz: float = setting(4e6, "IF sampling rate [Hz]", low=1e5)
+    nav_file: str = setting("", "RINEX navigation file for an assisted start; empty: none [path]")
+    output_dir: str = setting("", "folder for RINEX; empty: none [path]")
+    station_name: str = setting("DSEI00XXX", "nine characters of the RINEX names [-]")
+    pvt_deadline_ms: float = setting(200.0, "realtime: wait so long for a tracker [ms]", low=0)
+
+
+class PvtNode(Node):
+    """In: tracking/<sat>/epochs, gnss/ephemeris. Out: gnss/observations, gnss/pvt, gnss/fix."""
+
+    def __init__(self, process: Process) -> None:
+        super().__init__("pvt")
+        self.process = process
+        self.flow = Flow(self, process, "pvt", declare(self, FlowConfig))
+        self.config, engine_config = declare(self, NodeConfig), declare(self, PvtConfig)
+        observables, spp = declare(self, ObservablesConfig), declare(self, SppConfig)
+        reject_unknown(self)
+        config = self.config
+        try:
+            self.engine = PvtEngine(
+                engine_config,
+                config.sample_rate_hz,
+                config.satellites,
+                observables=observables,
+                spp=spp,
+            )
+        except ValueError as error:
+            raise InputError("parameters of pvt", str(error)) from None
+        self.products: RinexProducts | None = None
+        if config.output_dir:
+            station = RinexStation(name=config.station_name)
+            self.products = RinexProducts(config.output_dir, station)
+        self.load_navigation()
+        self.clock: SampleClock | None = None
+        self.second, self.newest, self.progressed = -1, -1, time.monotonic()
+        publish_on = self.flow.publish_on
+        self.observations = publish_on("gnss/observations", Observations, qos.STREAM)
+        self.pvt = publish_on("gnss/pvt", Pvt, qos.STREAM)
+        self.fix = publish_on("gnss/fix", NavSatFix, qos.STREAM)
+        self.diagnostics = publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
+        for satellite in config.satellites:
+            topic = f"tracking/{satellite}/epochs"
+            self.create_subscription(TrackingEpochs, topic, self.on_epochs, qos.STREAM)
+        self.create_subscription(Ephemeris, "gnss/ephemeris", self.on_ephemeris, qos.LATCHED)
+        self.flow.follow(config.trackers, self.on_tracker)
+        if not self.flow.lockstep:
+            self.create_timer(0.02, self.on_deadline)
+
+    def load_navigation(self) -> None:
+        """Preload ephemerides."""
+        if not self.config.nav_file:
+            return
+        file = read_rinex_nav(self.config.nav_file)
+        for ephemeris in file.ephemerides:
+            self.engine.push_ephemeris(ephemeris)
+        if file.iono_alpha:
+            self.engine.push_klobuchar(file.iono_alpha, file.iono_beta)
+
+    def on_epochs(self, msg: TrackingEpochs) -> None:
+        """Queue the integrations."""
+        if self.clock is None:
+            utc_ns = ns_from_stamp(msg.header.stamp)
+            rate = self.config.sample_rate_hz
+            self.clock = SampleClock.from_sample(msg.block_sample_index, utc_ns, rate)
+        self.newest = max(self.newest, msg.block_sample_index)
+        self.engine.push_epochs(from_msg(msg, TrackingEpochsValue))
+        self.work()
+
+    def on_ephemeris(self, msg: Ephemeris) -> None:
+        """Take an ephemeris that was decoded."""
+        ephemeris = from_msg(msg, EphemerisValue)
+        self.engine.push_ephemeris(ephemeris)
+        if self.products is not None:
+            self.products.add(ephemeris)
+        self.work()
+
+    def on_tracker(self, _msg: Watermark) -> None:
+        """Look whether the stream has ended."""
+        others, trackers = self.flow.others, self.config.trackers
+        ended = all(n in others and others[n].end_of_stream for n in trackers)
+        if ended and trackers and not self.flow.ended:
+            self.work()
+            self.flow.finish()
+
+    def on_deadline(self) -> None:
+        """Realtime: wait no longer than the deadline for a tracker."""
+        if time.monotonic() - self.progressed > self.config.pvt_deadline_ms * 1e-3:
+            self.work(self.newest)
+
+    def work(self, force_through: int | None = None) -> None:
+        """Work through all epochs that the watermarks allow and publish."""
+        before = self.engine.worked_through
+        for observations, pvt in self.engine.advance(force_through):
+            self.publish(observations, pvt)
+        worked = self.engine.worked_through
+        if worked == before or self.clock is None:
+            return
+        self.progressed = time.monotonic()
+        utc_ns = self.clock.utc_ns(worked)
+        self.flow.send(worked, worked, utc_ns=utc_ns)
+        second = int(worked / self.clock.sample_rate_hz)
+        if second > self.second:
+            self.second = second
+            self.report(utc_ns)
+
+    def publish(self, observations: ObservationsValue, pvt: PvtValue | None) -> None:
+        """Publish one epoch."""
+        utc_ns = GpsTime(observations.week, observations.tow_ns).to_utc_ns()
+        self.observations.publish(to_msg(observations, Observations, utc_ns))
+        if pvt is not None:
+            self.pvt.publish(to_msg(pvt, Pvt, utc_ns))
+            self.fix.publish(fix_from_pvt(pvt, utc_ns))
+        if self.products is not None:
+            self.products.write(observations, pvt)
+
+    def report(self, utc_ns: int) -> None:
+        """Publish the counters."""
+        counts = self.engine.statistics
+        text = f"{counts['positions']} positions" if self.engine.clock else "no fix yet"
+        level = diagnostics.OK if self.engine.clock and not counts["forced"] else diagnostics.WARN
+        self.diagnostics.publish(diagnostics.array("pvt", level, text, counts, utc_ns))
+
+    def close(self) -> None:
+        """Finish the files."""
+        if self.products is not None:
+            for path in self.products.close():
+                self.get_logger().info(f"wrote {path}")
+
+
+def main() -> None:
+    """Run the node."""
+    run(lambda process: process.add(PvtNode(process)), "pvt")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,222 @@
+"""A simulated recording on disk: raw IF, its descriptor, the truth, the navigation data.
+
+=============== =====================================================================
+file            content
+=============== =====================================================================
+``if.bin``      samples, packed as the format says
+``if.bin.yaml`` format, sample rate, IF, UTC of sample 0 by the receiver's clock
+``truth.npz``   every 10 ms of receiver time (:func:`truth_rows`), and what stays the same
+``nav.rnx``     the ephemerides used, RINEX 3.05
+=============== =====================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from deepseis_core.errors import InputError
+from deepseis_core.if_format import IfFormat
+from deepseis_core.rinex_nav import write_rinex_nav
+from deepseis_core.types import FloatArray
+from deepseis_sim.if_synthesis import IfSynthesizer, SignalSegments
+from deepseis_sim.signal_model import SignalModel
+from deepseis_sim.truth_file import TruthFile
+
+Progress = Callable[[float], None]
+"""Told the seconds of signal made so far."""
+
+TRUTH_STEP: Final = 0.01
+CHUNK_SEGMENTS: Final = 20
+_TRUTH_CHUNK: Final = 100
+
+
+@dataclass(frozen=True)
+class FrontEnd:
+    """How the signal is sampled."""
+
+    format: IfFormat
+    sample_rate_hz: float = 4.0e6
+    intermediate_frequency_hz: float = 0.0
+
+
+@dataclass(frozen=True)
+class SimulatedRecording:
+    """Where a recording lies and what it holds."""
+
+    if_path: Path
+    descriptor_path: Path
+    truth_path: Path
+    nav_path: Path
+    sample_count: int
+    satellites: tuple[str, ...]
+
+
+class IfStream:
+    """IF samples of a signal model, in order, in bounded memory.
+
+    Parameters
+    ----------
+    model : SignalModel
+    front_end : FrontEnd
+    seed : int, optional
+        Of the noise.
+    """
+
+    def __init__(self, model: SignalModel, front_end: FrontEnd, *, seed: int = 0) -> None:
+        self.model = model
+        self.synthesizer = IfSynthesizer(
+            front_end.format,
+            front_end.sample_rate_hz,
+            front_end.intermediate_frequency_hz,
+            [item.prn for item in model.satellites],
+            seed=seed,
+            mean_cn0_dbhz=[item.cn0_dbhz for item in model.satellites],
+        )
+
+    def segments(self, first: int, count: int) -> SignalSegments:
+        """Lay out the phases of segments of the synthesizer's length."""
+        span = self.synthesizer.segment_samples / self.synthesizer.sample_rate_hz
+        return self.model.segments(first, count, span)
+
+    def chunks(
+        self, sample_count: int, *, chunk_segments: int = CHUNK_SEGMENTS
+    ) -> Iterator[tuple[int, bytes]]:
+        """Yield first sample index and packed bytes of successive chunks."""
+        length = self.synthesizer.segment_samples
+        for first in range(0, -(-sample_count // length), chunk_segments):
+            start = first * length
+            count = min(chunk_segments * length, sample_count - start)
+            segments = self.segments(first, -(-count // length))
+            yield start, self.synthesizer.packed(segments, start, count).tobytes()
+
+
+def truth_rows(model: SignalModel, time: FloatArray) -> dict[str, FloatArray]:
+    """Return the truth at receiver seconds since the start, shape (m,).
+
+    Returns
+    -------
+    dict
+        ``t_s`` (m,); ``carrier_phase_cycles``, ``carrier_doppler_hz`` (what a carrier NCO that
+        follows without error shows), ``range`` (geometric, with the Earth's rotation),
+        ``pseudorange`` [m], all (m, n_satellites); ``clock_bias`` [s], (m,); ``antenna_ecef``
+        [m], (m, 3).
+    """
+    delays = model.delays(time)
+    return {
+        "t_s": time,
+        "carrier_phase_cycles": delays.carrier_phase_cycles + model.initial_phase_cycles,
+        "carrier_doppler_hz": model.carrier_doppler_hz(time),
+        "range": delays.range,
+        "pseudorange": delays.pseudorange,
+        "clock_bias": delays.receiver_clock,
+        "antenna_ecef": np.array(model.antenna(time - delays.receiver_clock)[:, :3]),
+    }
+
+
+def write_recording(
+    model: SignalModel,
+    front_end: FrontEnd,
+    duration: float,
+    folder: str | Path,
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> SimulatedRecording:
+    """Make a recording; what is not finished is not left behind.
+
+    Parameters
+    ----------
+    model : SignalModel
+    front_end : FrontEnd
+    duration : float
+        [s]
+    folder : path
+        Made if need be; files of the same names in it are replaced.
+    seed : int, optional
+        Of the noise.
+    progress : callable, optional
+        Called after every chunk with the seconds made.
+
+    Raises
+    ------
+    InputError
+        Where the folder or a file cannot be written, or no satellite is visible.
+    """
+    if not model.satellites:
+        raise InputError("sky", "no satellite is visible", "check position, time and mask")
+    folder = Path(folder)
+    stream = IfStream(model, front_end, seed=seed)
+    sample_count = round(duration * front_end.sample_rate_hz)
+    if_path = folder / "if.bin"
+    part = if_path.with_name(".if.bin.part")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with part.open("wb") as file:
+            for start, data in stream.chunks(sample_count):
+                file.write(data)
+                if progress:
+                    progress(start / front_end.sample_rate_hz)
+        truth_path = _write_truth(model, duration, folder / "truth.npz")
+        part.replace(if_path)
+        descriptor = _write_descriptor(if_path, model, front_end)
+        nav_path = folder / "nav.rnx"
+        write_rinex_nav(
+            nav_path,
+            [item.ephemeris for item in model.satellites],
+            leap_seconds=model.start.leap_seconds(),
+            date=_date(model),
+        )
+    except OSError as error:
+        raise InputError(error.filename or folder, error.strerror or str(error)) from None
+    finally:
+        part.unlink(missing_ok=True)
+    if progress:
+        progress(duration)
+    names = tuple(item.satellite for item in model.satellites)
+    return SimulatedRecording(if_path, descriptor, truth_path, nav_path, sample_count, names)
+
+
+def _write_truth(model: SignalModel, duration: float, path: Path) -> Path:
+    rows = int(np.floor(duration / TRUTH_STEP + 1e-6)) + 1
+    truth = TruthFile(path, rows)
+    try:
+        for first in range(0, rows, _TRUTH_CHUNK):
+            number = np.arange(first, min(first + _TRUTH_CHUNK, rows))
+            truth.append(**truth_rows(model, number / round(1 / TRUTH_STEP)))
+        truth.put(
+            prn=np.array([item.prn for item in model.satellites]),
+            satellites=np.array([item.satellite for item in model.satellites]),
+            elevation=np.array([item.elevation for item in model.satellites]),
+            azimuth=np.array([item.azimuth for item in model.satellites]),
+            cn0_dbhz=np.array([item.cn0_dbhz for item in model.satellites]),
+            start_week=model.start.week,
+            start_tow_ns=model.start.tow_ns,
+        )
+        return truth.close()
+    except BaseException:
+        truth.discard()
+        raise
+
+
+def _write_descriptor(if_path: Path, model: SignalModel, front_end: FrontEnd) -> Path:
+    """Write what `deepseis_frontend.if_descriptor` reads."""
+    path = Path(f"{if_path}.yaml")
+    lines = [
+        f'format: "{front_end.format.to_text()}"',
+        f"sample_rate_hz: {front_end.sample_rate_hz!r}  # [Hz]",
+        f"intermediate_frequency_hz: {front_end.intermediate_frequency_hz!r}  # [Hz]",
+        f"start_utc_ns: {model.start.to_utc_ns()}  # [ns since 1970] of sample 0",
+    ]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def _date(model: SignalModel) -> str:
+    """Date the navigation file by the signal's start: same seed, same bytes."""
+    year, month, day, hour, minute, ns = model.start.to_calendar()
+    return f"{year:04d}{month:02d}{day:02d} {hour:02d}{minute:02d}{ns // 10**9:02d} UTC"
