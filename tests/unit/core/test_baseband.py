@@ -1,4 +1,5 @@
 from fractions import Fraction
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -38,7 +39,7 @@ def test_any_chunking_gives_what_one_chunk_gives(text, frequency):
     text = whole.pinned_format.to_text()
     cuts = [0, 8, 512, 520, 2048, 4088, count]
     pieces = [
-        parts.convert(block(data, text, a, b - a, rate, frequency)) for a, b in zip(cuts, cuts[1:])
+        parts.convert(block(data, text, a, b - a, rate, frequency)) for a, b in pairwise(cuts)
     ]
     for k in range(2):
         np.testing.assert_array_equal(np.concatenate([p[k] for p in pieces]), expected[k])
@@ -63,12 +64,10 @@ def test_phase_increment_wraps_by_whole_cycles():
     assert phase_increment(-1e6, 4e6) == 3 * 2**62
 
 
-@pytest.mark.parametrize("frequency", [0.0, 1.0e6])
+# a real signal at IF 0 has no sign of Doppler
+@pytest.mark.parametrize(("components", "frequency"), [("real", 1e6), ("iq", 1e6), ("iq", 0.0)])
 @pytest.mark.parametrize("inverted", [False, True])
-@pytest.mark.parametrize("components", ["real", "iq"])
 def test_an_approaching_satellite_has_a_positive_doppler(components, inverted, frequency):
-    if components == "real" and frequency == 0.0:
-        pytest.skip("a real signal at IF 0 has no sign of Doppler")
     rate, doppler, count = 4e6, 2e3, 8192
     sign = -1 if inverted else 1
     phase = 2 * np.pi * (frequency + sign * doppler) * np.arange(count) / rate
@@ -144,6 +143,7 @@ def test_a_pinned_scale_makes_every_later_start_agree():
     for a, b in zip(
         first.convert(block(data, "iq16", 1000, 1000, 4e6, 0.0)),
         late.convert(block(data, text, 1000, 1000, 4e6, 0.0)),
+        strict=True,
     ):
         np.testing.assert_array_equal(a, b)
 

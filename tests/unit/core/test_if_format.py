@@ -74,7 +74,8 @@ def plain_levels(packing, data, count):
 def test_unpacking_equals_reading_bit_by_bit(packing):
     count = 37  # no multiple of any byte's samples
     data = np.random.default_rng(1).integers(0, 256, packing.bytes_for(count), dtype=np.uint8)
-    for ours, plain in zip(unpack(packing, data, count), plain_levels(packing, data, count)):
+    pairs = zip(unpack(packing, data, count), plain_levels(packing, data, count), strict=True)
+    for ours, plain in pairs:
         np.testing.assert_array_equal(ours, plain)
 
 
@@ -85,7 +86,7 @@ def test_packing_unpacked_levels_gives_the_levels_back(packing):
     i, q = unpack(packing, data, count)
     again = packing.pack(i, q)
     assert again.size == packing.bytes_for(count)
-    for first, second in zip((i, q), unpack(packing, again, count)):
+    for first, second in zip((i, q), unpack(packing, again, count), strict=True):
         np.testing.assert_array_equal(first, second)
 
 
@@ -168,10 +169,9 @@ def test_a_wrong_text_is_refused_with_its_reason(text):
         IfFormat.from_text(text)
 
 
-words = st.sampled_from(
-    "real iq qi iq8 real1 iq16 coding= order= scale= positive= levels=odd inverted 0 1 = nan "
-    "coding=offset_binary order=msb_first interleave=byte scale=1e3 scale=1_0 positive=1".split()
-)
+WORDS = """real iq qi iq8 real1 iq16 coding= order= scale= positive= levels=odd inverted 0 1 = nan
+    coding=offset_binary order=msb_first interleave=byte scale=1e3 scale=1_0 positive=1"""
+words = st.sampled_from(WORDS.split())
 
 
 @settings(max_examples=150, deadline=None)

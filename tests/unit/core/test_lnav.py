@@ -201,16 +201,19 @@ def ublox_frames(path: Path) -> dict[int, list[np.ndarray]]:
         if payload[0] == 0 and payload[2] == 0 and payload[4] == 10:
             received = np.frombuffer(payload, "<u4", 10, 8) & 0x3FFFFFFF
             bits = (received[:, None] >> np.arange(29, -1, -1) & 1).astype(np.uint8)
-            bits[1:, :24] ^= bits[:-1, 29:]  # the receiver has taken D30* off: put it back
+            for i in range(1, 10):  # the receiver turns a word over, parity too, after D30* = 1
+                bits[i] ^= bits[i - 1, 29]
             frames.setdefault(payload[1], []).append(bits.ravel())
         at = content.find(b"\xb5\x62\x02\x13", at + 1)
     return frames
 
 
-def rtklib_ephemeris(frames: list[np.ndarray]) -> object:
-    """Let RTKLIB decode subframes 1 to 3 (24 data bits a word) and return its ``eph_t``."""
+def rtklib_decode(frames: list[np.ndarray]) -> tuple[object, list[float], list[float]]:
+    """Let RTKLIB decode subframes (24 data bits a word): its ``eph_t``, ionosphere, UTC."""
     rtklib = pytest.importorskip("pyrtklib")
     buffer = getattr(rtklib, "Arr1Dunsigned char")(150)
+    for i in range(150):
+        buffer[i] = 0
     for bits in frames:
         data = lnav_words.remove_parity(bits)[0]
         packed = np.packbits(data.reshape(10, 30)[:, :24].ravel())
@@ -220,7 +223,24 @@ def rtklib_ephemeris(frames: list[np.ndarray]) -> object:
     found = rtklib.eph_t()
     ion, utc = rtklib.Arr1Ddouble(8), rtklib.Arr1Ddouble(8)
     rtklib.decode_frame(buffer, found, rtklib.alm_t(), ion, utc)
-    return found
+    return found, [ion[i] for i in range(8)], [utc[i] for i in range(8)]
+
+
+def test_rtklib_reads_page_18_as_it_was_meant(ephemeris):
+    with_iono = dataclasses.replace(ephemeris, iono_alpha=ALPHA, iono_beta=BETA)
+    utc = lnav.UtcParameters(1.86e-9, -8.9e-15, 147456.0, 2191, 18, 2185, 7, 18)
+    start = 518400
+    bits = lnav.encode_frame_bits(with_iono, start, 5, utc=utc, page_18_always=True)
+    _, ion, their_utc = rtklib_decode(list(bits.reshape(5, 300)))
+    (ours,) = (
+        event
+        for event in LnavDecoder("G05", 2190).push(signal(bits), 0)
+        if isinstance(event, IonosphereEvent)
+    )
+    assert ion == [*ours.alpha, *ours.beta]
+    assert their_utc[:3] == [ours.utc.a0, ours.utc.a1, ours.utc.tot]
+    assert int(their_utc[3]) % 256 == 2191 % 256
+    assert their_utc[4] == ours.utc.leap_s == 18
 
 
 def test_real_subframes_from_a_ublox_receiver_decode_as_rtklib_decodes_them(shared_data):
@@ -237,7 +257,7 @@ def test_real_subframes_from_a_ublox_receiver_decode_as_rtklib_decodes_them(shar
             continue
         ours = ephemerides(events)[-1]
         last = {lnav_words.get_raw(b, lnav_words.HANDOVER[1]): b for b in found}
-        theirs = rtklib_ephemeris([last[1], last[2], last[3]])
+        theirs, _, _ = rtklib_decode([last[1], last[2], last[3]])
         pairs = {"f0": "af0", "f1": "af1", "f2": "af2", "e": "eccentricity", "M0": "m0"}
         pairs |= {"OMG0": "omega0", "OMGd": "omega_dot", "omg": "omega", "deln": "delta_n"}
         pairs |= {"idot": "i_dot", "toes": "toe", "svh": "health", "code": "l2_code"}

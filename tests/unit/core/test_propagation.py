@@ -162,4 +162,4 @@ def test_a_public_simulator_has_the_same_phase_and_direction(shared_data):
     phase = L1_HZ * (los.satellite_clock - (los.range + iono) / SPEED_OF_LIGHT)
     theirs = truth["carrier_phase_cycles"][every]
     difference = (phase - phase[0]) - (theirs - theirs[0])
-    assert np.abs(difference).max() < 0.02
+    assert np.abs(difference).max() < 1e-3

@@ -49,9 +49,9 @@ def ephemeris(prn: int) -> Ephemeris:
         sqrt_a=5153.65 + 0.01 * prn,
         eccentricity=0.002 + 0.0004 * prn,
         i0=0.96 + 0.001 * slot,
-        omega0=-2.0 + plane * np.pi / 3.0,
+        omega0=(2.2 + plane * np.pi / 3.0 + np.pi) % (2 * np.pi) - np.pi,
         omega=0.3 * prn,
-        m0=(slot * 1.17 + plane * 0.33 - 0.3 * prn + np.pi) % (2 * np.pi) - np.pi,
+        m0=(1.0 + slot * 1.17 + plane * 0.33 - 0.3 * prn + np.pi) % (2 * np.pi) - np.pi,
         delta_n=4.5e-9,
         omega_dot=-8.0e-9,
         i_dot=1e-10,
@@ -142,12 +142,27 @@ def visible() -> tuple[str, ...]:
     return tuple(name for name in names if sky.elevation(name) > np.radians(15.0))
 
 
+def first_epoch(
+    sky: Sky, t: float = 2.0, bias: float = 0.0
+) -> tuple[np.ndarray, np.ndarray, list[Ephemeris]]:
+    """Return exact pseudoranges [m], Doppler [Hz] and ephemerides at ``t`` seconds after TOW.
+
+    The receiver's clock is ``bias`` metres ahead.
+    """
+    names, step = visible(), 0.01
+    ranges = [C * sky.travel(name, t)[0] + bias for name in names]
+    rates = [
+        (sky.travel(name, t + step)[1] - sky.travel(name, t - step)[1]) / (2 * step)
+        for name in names
+    ]
+    return np.array(ranges), -L1_HZ * np.array(rates), [ephemeris(int(n[1:])) for n in names]
+
+
 @dataclass
 class Receiver:
     """Tracking channels behind one sample clock.
 
-    ``clock_bias``, ``clock_drift``: the sample clock's own time ahead of GPS time at sample 0 [s]
-    and its rate [s/s]; sample 0 is taken ``clock_bias`` before TOW.
+    Sample 0 is taken ``start`` [s] after TOW; the clock gains ``clock_drift`` [s/s].
     """
 
     sky: Sky

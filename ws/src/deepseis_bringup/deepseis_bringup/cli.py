@@ -4,6 +4,8 @@ from typing import Annotated
 
 import typer
 
+from deepseis_bringup import cli_runs
+
 app = typer.Typer(
     help="A GNSS/INS seismograph station: ground motion through strong earthquakes.",
     no_args_is_help=True,
@@ -53,6 +55,9 @@ def run(
     except executables.UnknownExecutableError as error:
         typer.echo(f"deepseis: {error}", err=True)
         raise typer.Exit(2) from None
+
+
+cli_runs.register(app)
 
 
 def main() -> None:

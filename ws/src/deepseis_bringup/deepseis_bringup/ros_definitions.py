@@ -13,10 +13,7 @@ import yaml
 
 from deepseis_core.errors import InputError
 
-BUILTIN: Final = frozenset(
-    "bool byte char float32 float64 int8 uint8 int16 uint16 int32 uint32 int64 uint64 "
-    "string wstring".split()
-)
+BUILTIN: Final = re.compile(r"bool|byte|char|w?string|float(32|64)|u?int(8|16|32|64)")
 SEPARATOR: Final = "=" * 80
 FOREVER: Final = {"sec": 9223372036, "nsec": 854775807}
 FIELD: Final = re.compile(r"^([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]\w*")
@@ -63,7 +60,7 @@ class Definitions:
 
     def __init__(self, given: Mapping[str, str] | None = None) -> None:
         self._texts = dict(given or {})
-        self._hashes: dict[str, str] = {}
+        self._hashes = dict.fromkeys(self._texts, "")
 
     def text(self, type_name: str) -> str:
         """Return the text of a type's ``.msg`` file.
@@ -97,7 +94,7 @@ class Definitions:
         return "\n".join(part.rstrip("\n") for part in parts).encode() + b"\n"
 
     def type_hash(self, type_name: str) -> str:
-        """Return the RIHS01 hash of an installed type, or an empty text."""
+        """Return the RIHS01 hash of an installed type; of a given one an empty text."""
         if type_name not in self._hashes:
             self._hashes[type_name] = _installed_hash(type_name)
         return self._hashes[type_name]
@@ -110,7 +107,7 @@ def _dependencies(type_name: str, text: str) -> list[str]:
     for line in text.splitlines():
         line = line.partition("#")[0].strip()
         match = FIELD.match(line)
-        if match is None or CONSTANT.match(line) or match[1] in BUILTIN:
+        if match is None or CONSTANT.match(line) or BUILTIN.fullmatch(match[1]):
             continue
         words = match[1].split("/")
         names.append(f"{words[0] if len(words) > 1 else package}/msg/{words[-1]}")
@@ -125,7 +122,7 @@ def _installed(type_name: str, suffix: str = ".msg") -> Path | None:
         raise InputError(type_name, "is no type name", "such as std_msgs/msg/Header")
     try:
         folder = Path(get_package_share_directory(words[0]))
-    except (PackageNotFoundError, LookupError, ValueError):
+    except (PackageNotFoundError, LookupError, ValueError, OSError):  # or no ROS is set up
         return None
     path = folder / words[1] / f"{words[2]}{suffix}"
     return path if path.is_file() else None

@@ -149,7 +149,8 @@ class IfBag:
     def __init__(self, path: str | Path, topic: str | None = None) -> None:
         self.path = Path(path)
         self.files = bag_files(path)
-        self.topic = topic
+        self._requested = topic
+        self._found: str | None = topic
         self.remarks: list[Remark] = []
         self._known: set[int] = set()
         self.total_samples: int | None = None  # a pass over the bag would be needed
@@ -195,7 +196,7 @@ class IfBag:
 
     def _messages(self) -> Iterator[StampedBlock]:
         self._cut_at: int | None = None
-        self._found = self.topic
+        self._found = self._requested
         for file in self.files:
             self._known.clear()
             scan = McapScan(file)
@@ -211,8 +212,8 @@ class IfBag:
             self._cut_at = scan.cut_at
 
     def _is_wanted(self, channel: Channel) -> bool:
-        if self.topic is not None:
-            wanted = channel.topic == self.topic
+        if self._requested is not None:
+            wanted = channel.topic == self._requested
         else:
             wanted = ("/" + channel.topic).endswith("/" + TOPIC)
         if not wanted:

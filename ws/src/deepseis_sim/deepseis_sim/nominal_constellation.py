@@ -11,10 +11,12 @@ References
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
+from deepseis_core.constants import GPS_EARTH_RATE, NS_PER_S, S_PER_WEEK
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.lnav import quantise
 from deepseis_core.types import Ephemeris
@@ -40,6 +42,7 @@ repeats after a sidereal day."""
 NODE_RATE: Final = -8.1e-9
 """Rate of right ascension of the nodes [rad/s]."""
 
+FRAME_S: Final = 30
 FIT_PERIOD: Final = 7200
 """Reference times are multiples of this [s]."""
 
@@ -48,7 +51,6 @@ KLOBUCHAR_BETA: Final = (48 * 2.0**11, 8 * 2.0**14, -1 * 2.0**16, -6 * 2.0**16)
 """Ionosphere of an ordinary day: 11 ns at night, about 35 ns at noon at mid latitude."""
 
 _SLOT_EPOCH: Final = GpsTime.from_utc_calendar(1993, 7, 1)
-_SIDEREAL_RATE: Final = 7.292_115_146_7e-5
 
 
 def nominal_constellation(time: GpsTime, *, seed: int = 1) -> list[Ephemeris]:
@@ -74,8 +76,8 @@ def nominal_constellation(time: GpsTime, *, seed: int = 1) -> list[Ephemeris]:
     """
     rng = np.random.default_rng(seed)
     toe = round(time.tow_s() / FIT_PERIOD) * FIT_PERIOD
-    week, toe = time.week + toe // 604800, toe % 604800
-    since = GpsTime(week, toe * 10**9).diff_ns(_SLOT_EPOCH) / 1e9
+    week, toe = time.week + toe // S_PER_WEEK, toe % S_PER_WEEK
+    since = GpsTime(week, toe * NS_PER_S).diff_ns(_SLOT_EPOCH) / 1e9
     prns = 1 + rng.permutation(30)
     sky = []
     for plane, (node, latitudes) in enumerate(SLOTS_DEG):
@@ -83,6 +85,8 @@ def nominal_constellation(time: GpsTime, *, seed: int = 1) -> list[Ephemeris]:
             prn = int(prns[5 * plane + slot])
             argument = np.deg2rad(latitude) + MEAN_MOTION * since
             sky.append(_ephemeris(rng, prn, week, toe, np.deg2rad(node), argument, since))
+    sent = float(time.tow_ns // NS_PER_S // FRAME_S * FRAME_S)
+    sky = [replace(quantise(item), transmit_tow=sent) for item in sky]
     return sorted(sky, key=lambda item: item.satellite)
 
 
@@ -102,7 +106,7 @@ def _ephemeris(
     harmonics = rng.uniform(-1.0, 1.0, 6) * (6e-6, 8e-6, 250.0, 80.0, 2e-7, 2e-7)
     issue = int(rng.integers(1, 240))
     node_at_week = node + NODE_RATE * since - _sidereal_angle(since - toe)
-    drawn = Ephemeris(
+    return Ephemeris(
         satellite=f"G{prn:02d}",
         week=week,
         toe=float(toe),
@@ -131,12 +135,11 @@ def _ephemeris(
         iono_alpha=KLOBUCHAR_ALPHA,
         iono_beta=KLOBUCHAR_BETA,
     )
-    return quantise(drawn)
 
 
 def _sidereal_angle(since_slot_epoch: float) -> float:
     """Greenwich sidereal angle: 278.8 degrees at the slots' epoch, then the Earth's rate."""
-    return np.deg2rad(278.8) + _SIDEREAL_RATE * since_slot_epoch
+    return np.deg2rad(278.8) + GPS_EARTH_RATE * since_slot_epoch
 
 
 def _wrap(angle: float) -> float:

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
 
 import numpy as np
@@ -150,41 +151,52 @@ def write_recording(
     if not model.satellites:
         raise InputError("sky", "no satellite is visible", "check position, time and mask")
     folder = Path(folder)
-    stream = IfStream(model, front_end, seed=seed)
-    sample_count = round(duration * front_end.sample_rate_hz)
-    if_path = folder / "if.bin"
-    part = if_path.with_name(".if.bin.part")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with part.open("wb") as file:
-            for start, data in stream.chunks(sample_count):
-                file.write(data)
-                if progress:
-                    progress(start / front_end.sample_rate_hz)
-        truth_path = _write_truth(model, duration, folder / "truth.npz")
-        part.replace(if_path)
-        descriptor = _write_descriptor(if_path, model, front_end)
-        nav_path = folder / "nav.rnx"
-        write_rinex_nav(
-            nav_path,
-            [item.ephemeris for item in model.satellites],
-            leap_seconds=model.start.leap_seconds(),
-            date=_date(model),
-        )
+        with TemporaryDirectory(prefix=".unfinished.", dir=folder) as place:
+            made = _write_files(model, front_end, duration, Path(place), seed, progress)
+            for path in made:
+                path.replace(folder / path.name)
     except OSError as error:
         raise InputError(error.filename or folder, error.strerror or str(error)) from None
-    finally:
-        part.unlink(missing_ok=True)
     if progress:
         progress(duration)
-    names = tuple(item.satellite for item in model.satellites)
-    return SimulatedRecording(if_path, descriptor, truth_path, nav_path, sample_count, names)
+    return SimulatedRecording(
+        *(folder / path.name for path in made),
+        round(duration * front_end.sample_rate_hz),
+        tuple(item.satellite for item in model.satellites),
+    )
 
 
-def _write_truth(model: SignalModel, duration: float, path: Path) -> Path:
+def _write_files(
+    model: SignalModel,
+    front_end: FrontEnd,
+    duration: float,
+    place: Path,
+    seed: int,
+    progress: Progress | None,
+) -> tuple[Path, Path, Path, Path]:
+    """Write IF, descriptor, truth and navigation data into a folder."""
+    if_path, truth_path, nav_path = place / "if.bin", place / "truth.npz", place / "nav.rnx"
+    stream = IfStream(model, front_end, seed=seed)
+    with if_path.open("wb") as file:
+        for start, data in stream.chunks(round(duration * front_end.sample_rate_hz)):
+            file.write(data)
+            if progress:
+                progress(start / front_end.sample_rate_hz)
+    _write_truth(model, duration, truth_path)
+    write_rinex_nav(
+        nav_path,
+        [item.ephemeris for item in model.satellites],
+        leap_seconds=model.start.leap_seconds(),
+        date=_date(model),
+    )
+    return if_path, _write_descriptor(if_path, model, front_end), truth_path, nav_path
+
+
+def _write_truth(model: SignalModel, duration: float, path: Path) -> None:
     rows = int(np.floor(duration / TRUTH_STEP + 1e-6)) + 1
-    truth = TruthFile(path, rows)
-    try:
+    with TruthFile(path, rows) as truth:
         for first in range(0, rows, _TRUTH_CHUNK):
             number = np.arange(first, min(first + _TRUTH_CHUNK, rows))
             truth.append(**truth_rows(model, number / round(1 / TRUTH_STEP)))
@@ -197,10 +209,6 @@ def _write_truth(model: SignalModel, duration: float, path: Path) -> Path:
             start_week=model.start.week,
             start_tow_ns=model.start.tow_ns,
         )
-        return truth.close()
-    except BaseException:
-        truth.discard()
-        raise
 
 
 def _write_descriptor(if_path: Path, model: SignalModel, front_end: FrontEnd) -> Path:

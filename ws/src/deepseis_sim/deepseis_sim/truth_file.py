@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import zipfile
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,9 +20,18 @@ class TruthFile:
     Parameters
     ----------
     path : path
-        The file to be; until :meth:`close` its parts lie in a hidden folder beside it.
+        The file to be; until the end of the ``with`` its parts lie in a hidden folder beside it.
     rows : int
         Rows that every growing array will have in the end.
+
+    Examples
+    --------
+    >>> with TemporaryDirectory() as folder:
+    ...     with TruthFile(Path(folder) / "a.npz", rows=2) as truth:
+    ...         truth.append(x=np.array([1.0]))
+    ...         truth.append(x=np.array([2.0]))
+    ...     np.load(Path(folder) / "a.npz")["x"].tolist()
+    [1.0, 2.0]
     """
 
     def __init__(self, path: Path, rows: int) -> None:
@@ -48,29 +58,28 @@ class TruthFile:
                 np.lib.format.write_array_header_1_0(self._files[name], header)
             self._files[name].write(np.ascontiguousarray(value).tobytes())
 
-    def close(self) -> Path:
-        """Write the file, whole or not at all."""
-        self._close_members()
+    def __enter__(self) -> TruthFile:
+        """Return itself."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Store the file, or leave nothing behind after an error."""
+        try:
+            for file in self._files.values():
+                file.close()
+            if kind is None:
+                self._store()
+        finally:
+            self._folder.cleanup()
+
+    def _store(self) -> None:
         part = self.path.with_name(f".{self.path.name}.part")
         try:
             with zipfile.ZipFile(part, "w", allowZip64=True) as archive:
                 for member in sorted(Path(self._folder.name).iterdir()):
                     info = zipfile.ZipInfo(member.name, _DATE)
                     with member.open("rb") as source, archive.open(info, "w") as target:
-                        while block := source.read(1 << 20):
-                            target.write(block)
+                        shutil.copyfileobj(source, target, 1 << 20)
             part.replace(self.path)
         finally:
             part.unlink(missing_ok=True)
-            self._folder.cleanup()
-        return self.path
-
-    def discard(self) -> None:
-        """Leave nothing behind."""
-        self._close_members()
-        self._folder.cleanup()
-
-    def _close_members(self) -> None:
-        for file in self._files.values():
-            file.close()
-        self._files.clear()

@@ -33,7 +33,6 @@ OTHERS_NARROWER_HZ = 3200.0
 STRONGEST_DBHZ = 56.0
 """Nothing on L1 C/A comes in stronger [dB-Hz]: sets which detections may be leaks of others."""
 
-
 _Rows = Mapping[str, NDArray[np.int64]]
 
 
@@ -56,7 +55,7 @@ class AcquisitionConfig:
         False, "sum odd and even blocks apart, take the better: 10 ms between data bits"
     )
     search_interferers: bool = setting(
-        True, "look for QZSS and SBAS where a detection could be their cross-correlation"
+        True, "look for who else could have caused a weak detection: other GPS, QZSS, SBAS"
     )
     samples_per_ms: int = setting(2048, "working rate [samples/ms]", low=2048, high=4096)
 

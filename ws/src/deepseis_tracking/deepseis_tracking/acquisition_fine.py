@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,7 +91,7 @@ def first_epoch(code_phase_chips: float, size: int) -> tuple[int, float]:
     return start, (start - exact) * sig.CODE_LENGTH / size
 
 
-def _delayed(replica: sig.Complex64Array, phases: NDArray[np.float64]) -> sig.Complex64Array:
+def _delayed(replica: sig.Complex64Array, phases: sig.RealArray) -> sig.Complex64Array:
     """Return the replica at several code phases [chips], a row each."""
     size = len(replica)
     harmonic = np.fft.fftfreq(size, 1 / size)
@@ -115,7 +116,7 @@ def bit_spans(count: int, edge: int) -> NDArray[np.float64]:
     return np.diff(bit_edges(count, edge)).astype(np.float64)[:, None]
 
 
-def _bit_sums(prompts: NDArray[np.complex128], edge: int) -> NDArray[np.complex128]:
+def _bit_sums(prompts: NDArray[Any], edge: int) -> NDArray[Any]:
     return np.add.reduceat(prompts, bit_edges(len(prompts), edge)[:-1], axis=0)
 
 

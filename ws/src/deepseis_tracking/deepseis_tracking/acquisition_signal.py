@@ -6,6 +6,7 @@ All spectra have one bin a kHz (one code period), ``size`` bins, FFT order.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -18,6 +19,7 @@ CARRIER_PER_CHIP = 1540.0
 """Carrier cycles per chip: code Doppler is carrier Doppler over this."""
 
 Complex64Array = NDArray[np.complex64]
+RealArray = NDArray[np.floating[Any]]
 SampleArray = NDArray[np.int8] | NDArray[np.int16]
 
 SPUR_POWER = 200.0
@@ -82,9 +84,7 @@ def _cut_spurs(spectrum: Complex64Array, half: int) -> None:
         part[power > SPUR_POWER * np.median(power) / np.log(2)] = 0
 
 
-def code_slip(
-    doppler_hz: float, rate_hz: float, size: int, times: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def code_slip(doppler_hz: float, rate_hz: float, size: int, times: RealArray) -> RealArray:
     """Return by how much the code has gained on the working grid at ``times`` [chips].
 
     The grid takes ``size`` samples for one period; the code runs at ``1.023e6 + doppler/1540``.

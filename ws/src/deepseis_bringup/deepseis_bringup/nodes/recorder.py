@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from rclpy.node import Node
-from rosidl_runtime_py.utilities import get_message
 
 from deepseis_bringup.mcap_recording import BagWriter
-from deepseis_bringup.recording_queue import stamp_of_cdr
+from deepseis_bringup.recording_queue import if_block_end, stamp_of_cdr
+from deepseis_bringup.ros_definitions import TopicQos
 from deepseis_core.config import setting
 from deepseis_core.errors import InputError
 from deepseis_core.ros import qos
+from deepseis_core.ros.convert import message_class
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
@@ -27,7 +28,8 @@ class RecorderConfig:
     directory: str = setting("", "folder of the bag, made new [path]")
     topics: list[str] = setting([], "entries: topic type qos [-]")
     members: list[str] = setting([], "flow members whose end is the end of the recording [-]")
-    metadata: str = setting("", "JSON object of texts that goes into the bag's metadata [-]")
+    records: str = setting("", "metadata records of the bag: JSON object of objects [-]")
+    compression: str = setting("zstd", "of the bag's chunks [-]", choices=("zstd", "none"))
     pace_member: str = setting("pvt", "without IF, acknowledge as far as this member [-]")
 
 
@@ -41,8 +43,10 @@ class RecorderNode(Node):
         reject_unknown(self)
         if not self.config.directory:
             raise InputError("parameter directory of recorder", "is empty", "name a new folder")
-        metadata = json.loads(self.config.metadata or "{}")
-        self.writer = BagWriter(self.config.directory, metadata=metadata)
+        records = json.loads(self.config.records or "{}")
+        self.writer = BagWriter(
+            self.config.directory, records, compression=self.config.compression
+        )
         self.records_if = False
         self.last_if = -1
         for entry in self.config.topics:
@@ -50,27 +54,26 @@ class RecorderNode(Node):
             self.records_if |= topic == "if/samples"
             self.record(topic, type_name, profile)
         self.flow.follow(self.config.members, self.on_member)
-        self.create_timer(0.25, self.writer.flush)
 
     def record(self, topic: str, type_name: str, profile: str) -> None:
         """Subscribe to a topic's bytes."""
         name = self.resolve_topic_name(topic)
         chosen = qos.BY_NAME[profile]
-        self.writer.add_topic(name, type_name, profile)
+        durability = "transient_local" if profile == "latched" else "volatile"
+        offered = TopicQos(durability=durability, depth=chosen.depth)
+        self.writer.add_topic(name, type_name, offered)
         is_if = topic == "if/samples"
 
         def on_bytes(cdr: bytes, _info: Any = None) -> None:
             stamp_ns = stamp_of_cdr(cdr)
-            self.writer.write(name, cdr, stamp_ns)
+            self.writer.write(name, type_name, cdr, stamp_ns, stamp_ns)
             if is_if:
                 self.acknowledge_if(cdr)
 
-        self.create_subscription(get_message(type_name), topic, on_bytes, chosen, raw=True)
+        self.create_subscription(message_class(type_name), topic, on_bytes, chosen, raw=True)
 
     def acknowledge_if(self, cdr: bytes) -> None:
         """Give the source its credit."""
-        from deepseis_bringup.recording_queue import if_block_end
-
         self.last_if = if_block_end(cdr)
         self.flow.send(self.last_if, self.last_if)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from functools import cache
+from importlib import import_module
 from typing import Any, TypeVar
 
 import numpy as np
@@ -36,6 +37,12 @@ def stamp_from_ns(utc_ns: int) -> Time:
 def ns_from_stamp(stamp: Time) -> int:
     """Stamp as UTC nanoseconds since 1970."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def message_class(type_name: str) -> Any:
+    """Message class of a full type name such as ``sensor_msgs/msg/Imu``."""
+    package, kind, name = type_name.split("/")
+    return getattr(import_module(f"{package}.{kind}"), name)
 
 
 @cache

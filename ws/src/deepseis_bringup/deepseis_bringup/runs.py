@@ -1,0 +1,258 @@
+"""Runs of the graph on a recording: demo, replay, process. Each leaves a run folder."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+from deepseis_bringup.graph import ALL_SATELLITES, GraphConfig, build_graph
+from deepseis_bringup.supervisor import Supervisor, own_domain, running
+from deepseis_bringup.watch import GraphWatch
+from deepseis_core.errors import InputError
+from deepseis_core.sample_clock import SampleClock
+from deepseis_frontend.if_open import open_source
+from deepseis_frontend.if_stream import IfSource
+
+console = Console(stderr=True)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which recording to run on; as the parameters of ``if_source``."""
+
+    file: str
+    format: str = ""
+    sample_rate_hz: float = 0.0
+    intermediate_frequency_hz: float = 0.0
+    start_utc: str = ""
+    start_s: float = 0.0
+    length_s: float = 0.0
+
+    def parameters(self) -> dict[str, Any]:
+        """Return the parameters that were given."""
+        values = {**vars(self), "file": str(Path(self.file).resolve())}
+        return {key: value for key, value in values.items() if value not in ("", 0.0)}
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How to run."""
+
+    mode: str = "lockstep"
+    satellites: tuple[str, ...] = ALL_SATELLITES
+    one_process: bool = True
+    record: bool = True
+    record_if: bool = True
+    aiding: str = ""
+    parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+def new_run_folder(chosen: Path | None) -> Path:
+    """Return the run folder to be made.
+
+    Raises
+    ------
+    InputError
+        It exists and is not empty.
+    """
+    folder = chosen or Path("runs") / datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(folder, "exists and is not empty", "name a new folder with -o")
+    return folder
+
+
+@contextmanager
+def half_written_is_removed(folder: Path) -> Iterator[None]:
+    """Remove a folder made here if what fills it fails before anything was recorded."""
+    existed = folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(folder, f"cannot be made: {error.strerror}") from None
+    try:
+        yield
+    except BaseException:
+        started = any(path.stat().st_size > 65536 for path in folder.glob("bag/*.mcap"))
+        if not started and not existed:
+            shutil.rmtree(folder, ignore_errors=True)
+        elif not started:
+            for path in folder.iterdir():
+                shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink()
+        raise
+
+
+@contextmanager
+def progress_bar(text: str, total: float, unit: str = "s") -> Iterator[Any]:
+    """Show a bar on stderr; yields a function that takes what is done so far."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TextColumn(f"{{task.completed:.0f}} of {{task.total:.0f}} {unit}"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console, transient=not console.is_terminal) as progress:
+        task = progress.add_task(text, total=max(total, 1e-9))
+        yield lambda done: progress.update(task, completed=done)
+
+
+def input_hash(path: Path) -> str:
+    """SHA-256 over a file, or over the files of a bag's folder in order of name."""
+    digest = hashlib.sha256()
+    files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+    for file in files:
+        with file.open("rb") as stream:
+            while piece := stream.read(1 << 22):
+                digest.update(piece)
+    return digest.hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """Return versions of what shapes the result."""
+    names = ("numpy", "numba", "scipy", "rclpy", "mcap")
+    found = {}
+    for name in names:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "unknown"
+    return found
+
+
+def run_recording(
+    selection: Selection, folder: Path, options: RunOptions, *, progress: bool = True
+) -> dict[str, Any]:
+    """Run the graph on a recording into ``folder``.
+
+    Parameters
+    ----------
+    selection : Selection
+        The recording.
+    folder : Path
+        Run folder; exists.
+    options : RunOptions
+        How to run.
+    progress : bool
+        Show a bar.
+
+    Returns
+    -------
+    dict
+        Figures of the run for the summary: duration, wall time, real-time factor, hashes.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be used, or a node failed.
+    """
+    source = open_source(selection)
+    duration = (source.total_samples or 0) / source.sample_rate_hz
+    config = graph_config(selection, source, folder, options)
+    started = time.monotonic()
+    with own_domain() as environment:
+        supervisor = Supervisor(build_graph(config), folder, environment=environment)
+        with running(supervisor), GraphWatch(environment) as watch:
+            elapsed = _follow(supervisor, watch, source, duration, progress)
+    played = (watch.valid_through + 1) / source.sample_rate_hz
+    if played <= 0:
+        raise InputError(selection.file, "no sample came through the graph")
+    return {
+        "input": str(Path(selection.file).name),
+        "input_sha256": input_hash(Path(selection.file)),
+        "duration_s": round(duration, 6),
+        "wall_time_s": round(time.monotonic() - started, 3),
+        "graph_time_s": round(elapsed, 3),
+        "real_time_factor": round(duration / elapsed, 3) if elapsed else 0.0,
+        "mode": options.mode,
+        **{f"version_{name}": value for name, value in versions().items()},
+    }
+
+
+def _follow(
+    supervisor: Supervisor,
+    watch: GraphWatch,
+    source: IfSource,
+    duration: float,
+    progress: bool,
+) -> float:
+    """Wait for the end, showing how far the source is; returns the graph's wall time [s]."""
+    if not progress:
+        supervisor.wait(poll=lambda: watch.poll() and None)
+        return watch.elapsed()
+    with progress_bar("running the graph", duration) as show:
+
+        def poll() -> None:
+            show(min(duration, max(0, watch.poll() + 1) / source.sample_rate_hz))
+
+        supervisor.wait(poll=poll)
+        elapsed = watch.elapsed()
+        show(duration)
+    return elapsed
+
+
+def graph_config(
+    selection: Selection, source: IfSource, folder: Path, options: RunOptions
+) -> GraphConfig:
+    """Return the graph for a recording and a run folder."""
+    start = selection.start_utc or source.start_utc_ns
+    parameters = {kind: dict(values) for kind, values in options.parameters.items()}
+    if source.start_utc_ns and not selection.start_utc:
+        clock = SampleClock(source.start_utc_ns, source.sample_rate_hz)
+        week = (clock.utc_ns(0) // 1_000_000_000 - 315_964_800) // 604_800
+        for kind in ("tracker", "acquisition"):
+            parameters.setdefault(kind, {}).setdefault("reference_week", int(week))
+    del start
+    return GraphConfig(
+        source=selection.parameters(),
+        sample_rate_hz=source.sample_rate_hz,
+        satellites=options.satellites,
+        mode=options.mode,
+        one_process=options.one_process,
+        aiding=options.aiding,
+        record_dir=str((folder / "bag").resolve()) if options.record else "",
+        record_if=options.record_if,
+        output_dir=str(folder.resolve()),
+        parameters=parameters,
+    )
+
+
+def demo(
+    folder: Path, *, duration: float = 40.0, if_format: str = "iq2", seed: int = 1
+) -> dict[str, Any]:
+    """Simulate a still antenna, run the graph on the signal over DDS, report."""
+    from deepseis_bringup.report import write_report
+    from deepseis_sim.scenario import StillConfig, simulate_still
+
+    config = replace(StillConfig(), duration=duration, if_format=if_format, seed=seed)
+    with progress_bar("making the signal", duration) as show:
+        recording = simulate_still(config, folder / "input", progress=show)
+    selection = Selection(str(recording.if_path))
+    figures = run_recording(selection, folder, RunOptions())
+    figures["seed"] = seed
+    recording.if_path.unlink()  # the samples are in the bag
+    with console.status("writing the report"):
+        return write_report(
+            folder, truth=recording.truth_path, title="DeepSeis demo", extra=figures
+        )
+
+
+def replay(
+    bag: Path, folder: Path, options: RunOptions, *, title: str = "DeepSeis replay"
+) -> dict[str, Any]:
+    """Run the graph again on a recorded bag's samples."""
+    from deepseis_bringup.report import write_report
+
+    figures = run_recording(Selection(str(bag)), folder, options)
+    with console.status("writing the report"):
+        return write_report(folder, truth=None, title=title, extra=figures)

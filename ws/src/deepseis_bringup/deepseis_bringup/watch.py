@@ -1,0 +1,78 @@
+"""Follows a running graph's progress from outside: how far the source and the PVT are."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from deepseis_core.ros import qos
+from deepseis_msgs.msg import Watermark
+
+
+class GraphWatch:
+    """A silent listener on ``flow/if_source``; a context manager.
+
+    Parameters
+    ----------
+    environment : mapping
+        Of the graph's processes: its ROS_DOMAIN_ID counts.
+    namespace : str
+        The station's name, or empty.
+    """
+
+    def __init__(self, environment: Mapping[str, str], namespace: str = "") -> None:
+        number = environment.get("ROS_DOMAIN_ID")
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=int(number) if number else None)
+        self.node = Node(
+            "watch",
+            context=self.context,
+            namespace=namespace,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.valid_through = -1
+        self.started_at = self.ended_at = 0.0
+        self.node.create_subscription(
+            Watermark, "flow/if_source", self._on_source, qos.STREAM_LATCHED
+        )
+
+    def _on_source(self, msg: Watermark) -> None:
+        now = time.monotonic()
+        if msg.valid_through >= 0 and not self.started_at:
+            self.started_at = now
+        if msg.valid_through > self.valid_through:
+            self.ended_at = now
+        self.valid_through = max(self.valid_through, msg.valid_through)
+
+    def poll(self) -> int:
+        """Take what has come; returns the last sample sent."""
+        self.executor.spin_once(timeout_sec=0.0)
+        return self.valid_through
+
+    def elapsed(self) -> float:
+        """Wall time from the first block to now [s]."""
+        return time.monotonic() - self.started_at if self.started_at else 0.0
+
+    def __enter__(self) -> GraphWatch:
+        """Return the watch."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> Any:
+        """Leave the graph."""
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
