@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+
 from deepseis_core.ephemeris import pack, satellite_states
 from deepseis_core.geodesy import ecef_from_geodetic
 from deepseis_core.gps_time import GpsTime

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from deepseis_sim.gaussian_noise import BLOCK, gaussian_noise, normal_pair
 from scipy import stats
+
+from deepseis_sim.gaussian_noise import BLOCK, gaussian_noise, normal_pair
 
 COUNT = 1_000_000
 

@@ -1,9 +1,11 @@
 """The IF kernel against a plain NumPy twin, and what a receiver would measure in its output."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
+
 from deepseis_core.ca_code import ca_code
 from deepseis_core.errors import InputError
 from deepseis_core.if_format import IfFormat
@@ -67,7 +69,9 @@ def test_kernel_equals_the_formulas_but_for_rounding(rate):
     for k in range(2):
         phase, chips = signal(time, k)
         twin = twin + chips * np.exp(2j * np.pi * phase)
-    scale = synthesizer.amplitude(np.array(45.0)) / np.float64(1 / synthesizer._levels[0])
+    scale = synthesizer.amplitude(np.array(45.0)) / np.float64(
+        1 / synthesizer._sampling.inverse_step
+    )
     difference = np.abs((i + 1j * q) / scale - twin)
     # A chip's edge may fall on the other side of a sample (code phase is good to 1e-5 chip):
     # such samples are few. All else differs by the chord of the phase, 2577 Hz/s, in a tile.
@@ -129,9 +133,7 @@ def test_any_chunking_gives_the_same_bytes(text):
     table = segments(synthesizer, 5)
     whole = synthesizer.packed(table, 0, 160_000)
     cuts = [0, 1024, 3000, 3008, 77_776, 160_000]
-    parts = [
-        synthesizer.packed(table, a, b - a) for a, b in zip(cuts[:-1], cuts[1:], strict=True)
-    ]
+    parts = [synthesizer.packed(table, a, b - a) for a, b in itertools.pairwise(cuts)]
     assert np.concatenate(parts).tobytes() == whole.tobytes()
 
 

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.lnav_decoder import EphemerisEvent, IonosphereEvent, LnavDecoder
 from deepseis_sim.nav_data import NavData

@@ -5,6 +5,8 @@ import tracemalloc
 import numpy as np
 import pytest
 import yaml
+from scipy.interpolate import CubicSpline
+
 from deepseis_core.ca_code import ca_code
 from deepseis_core.constants import SPEED_OF_LIGHT
 from deepseis_core.errors import InputError
@@ -15,7 +17,6 @@ from deepseis_sim.if_synthesis import IfSynthesizer
 from deepseis_sim.recording import FrontEnd, IfStream
 from deepseis_sim.scenario import StillConfig, simulate_still, still_model
 from deepseis_sim.signal_model import SignalModel
-from scipy.interpolate import CubicSpline
 
 SHORT = StillConfig(duration=0.3)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from deepseis_core.constants import L1_HZ, L1_WAVELENGTH, SPEED_OF_LIGHT
 from deepseis_core.geodesy import ecef_from_geodetic, rotation_enu_ecef
 from deepseis_core.gps_time import GpsTime

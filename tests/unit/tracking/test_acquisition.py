@@ -118,7 +118,9 @@ def test_code_doppler_is_followed_over_half_a_second():
     acquirer = Acquirer(2.2e6, config)
     signal = satellite("G19", 30.0, 300.3, 4700.0, 2.2e6, acquirer.samples_needed)
     (result,) = acquirer.search(*received(signal), 0, ["G19"], {"G19": (4500.0, 4900.0)})
-    assert result.detected  # 4700 Hz move the code by 1.5 chips: unfollowed, half the power is lost
+    assert (
+        result.detected
+    )  # 4700 Hz move the code by 1.5 chips: unfollowed, half the power is lost
     assert abs(result.code_phase_chips - 300.3) < 1 / 8
     assert abs(result.carrier_doppler_hz - 4700.0) < 10.0
 
@@ -194,7 +196,13 @@ def test_short_input_is_refused_with_the_number_needed():
 
 @pytest.mark.parametrize(
     ("name", "octal"),
-    [("PRN120", 0o671), ("PRN126", 0o13), ("PRN131", 0o1226), ("PRN138", 0o1327), ("PRN193", 0o727)],
+    [
+        ("PRN120", 0o671),
+        ("PRN126", 0o13),
+        ("PRN131", 0o1226),
+        ("PRN138", 0o1327),
+        ("PRN193", 0o727),
+    ],
 )
 def test_codes_of_other_systems_begin_as_the_specification_says(name, octal):
     logic = (1 - codes.code(name)[:10].astype(int)) // 2

@@ -119,6 +119,13 @@ class PvtEngine:
         """Counts since the start, for diagnostics."""
         return {**self._counts, **self.builder.counts, **self.store.counts}
 
+    @property
+    def valid_through(self) -> int:
+        """Last sample before the next epoch, or attempt at the first fix: nothing more up to it."""
+        if self.clock is not None:
+            return self.clock.sample_at(self._next_ns)[0] - 1
+        return round(self._attempt * self.config.first_fix_step * self.sample_rate_hz) - 1
+
     def newest_sample(self) -> int:
         """Return the last sample that any satellite has published through."""
         return int(self.store.published.max(initial=-1))
@@ -320,6 +327,7 @@ class PvtEngine:
                 np.where(locked, o.carrier_doppler_hz[chosen], np.nan),
                 o.cn0_dbhz[chosen].astype(np.float64),
                 tow=o.tow_ns / NS_PER_S,
+                accuracy=np.array([item[0].accuracy for item in items if item is not None]),
                 klobuchar=self.book.klobuchar(o.sample_index),
                 start=self._state,
             )

@@ -3,10 +3,10 @@
 Weighted least squares on code and Doppler of broadcast-orbit satellites. Range noise is
 modelled per satellite as::
 
-    variance = (code_sd / sin el)^2 + ephemeris_sd^2 + (0.5 I)^2 + (tropo_sd / sin el)^2
+    variance = floor_sd^2 + code_sd^2 / sin el + URA^2 + (0.5 I)^2 + (tropo_sd / (sin el + 0.1))^2
 
 with I the Klobuchar delay, which removes about half of the ionosphere; with weighting ``cn0`` the
-code's part is code_sd 10^((45 - C/N0) / 20) instead. A chi-square test of the weighted residuals
+code's part is code_sd^2 10^((45 - C/N0) / 10) instead. A chi-square test of the weighted residuals
 finds out whether an outlier is present; the satellite without which the rest agrees best is left
 out, one at a time (B. W. Parkinson and P. Axelrad, "Autonomous GPS integrity monitoring using the
 pseudorange residual", Navigation 35(2), 1988).
@@ -38,8 +38,11 @@ class SppConfig:
     weighting: str = setting(
         "elevation", "what code noise depends on", choices=("elevation", "cn0", "none")
     )
-    code_sd: float = setting(0.7, "code noise at the zenith [m]", low=0.01, high=100.0)
-    ephemeris_sd: float = setting(1.5, "orbit and clock error, one sigma [m]", low=0.0, high=100.0)
+    floor_sd: float = setting(0.3, "noise of every range [m]", low=0.0, high=100.0)
+    code_sd: float = setting(0.6, "code noise at the zenith [m]", low=0.01, high=100.0)
+    ephemeris_part: float = setting(
+        1.0, "orbit and clock error as a part of the broadcast URA [-]", low=0.0, high=10.0
+    )
     tropo_sd: float = setting(0.3, "troposphere left over at the zenith [m]", low=0.0, high=3.0)
     range_rate_sd: float = setting(
         0.05, "range-rate noise at the zenith [m/s]", low=1e-4, high=10.0
@@ -90,7 +93,7 @@ class SppSolver:
             [
                 np.radians(c.elevation_mask_deg),
                 float(c.weighting == "elevation"),
-                c.ephemeris_sd,
+                c.floor_sd,
                 float(c.ionosphere),
                 float(c.troposphere),
                 0.5,
@@ -107,6 +110,7 @@ class SppSolver:
         cn0_dbhz: FloatArray,
         *,
         tow: float,
+        accuracy: FloatArray | None = None,
         klobuchar: FloatArray | None = None,
         start: FloatArray | None = None,
     ) -> SppSolution | None:
@@ -120,6 +124,8 @@ class SppSolver:
             C1C [m], D1C [Hz] (NaN: none) and S1C [dB-Hz].
         tow : float
             GPS seconds of week, for the ionosphere [s].
+        accuracy : ndarray, shape (n,), optional
+            Broadcast URA [m]; default 2.
         klobuchar : ndarray, shape (8,), optional
             alpha 0..3, beta 0..3; without them no ionospheric delay is removed.
         start : ndarray, shape (4,), optional
@@ -131,7 +137,9 @@ class SppSolver:
         if klobuchar is None and model[kernels.IONO_ON]:
             model = model.copy()
             model[kernels.IONO_ON] = 0.0
-        epoch = _Epoch(satellites, pseudorange, noise, klobuchar, tow, model, start)
+        orbit_sd = np.full(n, 2.0) if accuracy is None else np.asarray(accuracy, np.float64)
+        orbit_sd = orbit_sd * self.config.ephemeris_part
+        epoch = _Epoch(satellites, pseudorange, noise, orbit_sd, klobuchar, tow, model, start)
         excluded = np.zeros(n, np.bool_)
         if not epoch.solve(excluded):
             return None
@@ -206,19 +214,21 @@ class SppSolver:
         """Solve for velocity; outliers of Doppler leave by the same test as those of range."""
         rate = -L1_WAVELENGTH * np.asarray(doppler, np.float64)
         n = len(rate)
-        noise = np.full(n, self.config.range_rate_sd)
+        variance = np.full(n, self.config.range_rate_sd**2)
+        if self.config.weighting == "elevation":
+            sine = np.sin(epoch.geometry[:, kernels.ELEVATION])
+            variance /= np.maximum(sine, 0.05) ** 2
         out = np.zeros(n, np.bool_)
         unknown = np.full(4, np.nan), np.full((4, 4), np.nan), np.full(n, np.nan)
         for _ in range(self.config.max_exclusions + 1):
             state, covariance, residual = np.zeros(4), np.zeros((4, 4)), np.full(n, np.nan)
             used = kernels.solve_velocity(
-                epoch.state, epoch.satellites, rate, noise, out, epoch.geometry,
+                epoch.state, epoch.satellites, rate, variance, out, epoch.geometry,
                 state, covariance, residual,
             )  # fmt: skip
             if used < 4:
                 return unknown
-            sine = np.maximum(np.sin(epoch.geometry[:, kernels.ELEVATION]), 0.05)
-            normalised = np.nan_to_num(residual * sine / noise)
+            normalised = np.nan_to_num(residual / np.sqrt(variance))
             chi_square = float(normalised @ normalised)
             if used == 4 or chi_square <= self._limits[used - 5]:
                 return state, covariance, residual
@@ -237,6 +247,7 @@ class _Epoch:
         satellites: FloatArray,
         pseudorange: FloatArray,
         noise: FloatArray,
+        orbit_sd: FloatArray,
         klobuchar: FloatArray | None,
         tow: float,
         model: FloatArray,
@@ -244,7 +255,8 @@ class _Epoch:
     ) -> None:
         self.satellites = np.ascontiguousarray(satellites, np.float64)
         self.pseudorange = np.ascontiguousarray(pseudorange, np.float64)
-        self.noise, self.tow, self.model = noise, float(tow), model
+        self.noise, self.orbit_sd = noise, orbit_sd
+        self.tow, self.model = float(tow), model
         self.klobuchar = NO_IONOSPHERE if klobuchar is None else klobuchar
         self.start = np.zeros(4) if start is None else start
         self.state: FloatArray = self.start
@@ -256,7 +268,7 @@ class _Epoch:
         """Solve without some satellites; tell whether there is a solution."""
         self.state = self.start.copy()
         self.used = kernels.solve_position(
-            self.state, self.satellites, self.pseudorange, self.noise, excluded,
+            self.state, self.satellites, self.pseudorange, self.noise, self.orbit_sd, excluded,
             self.klobuchar, self.tow, self.model, self.geometry, self.covariance,
         )  # fmt: skip
         return self.used >= 4

@@ -19,9 +19,9 @@ USED, RESIDUAL, VARIANCE, ELEVATION, AZIMUTH, EX, EY, EZ = range(8)
 """Columns of ``geometry``: 1 where used; range residual [m] and its variance [m^2]; elevation and
 azimuth [rad]; unit vector from the receiver to the satellite."""
 
-MASK, SINE_ON, EPHEMERIS_SD, IONO_ON, TROPO_ON, IONO_PART, TROPO_SD = range(7)
-"""Fields of ``model``: elevation mask [rad]; 1 where code noise grows as 1/sin(elevation);
-ephemeris sigma [m]; switches; part of the ionosphere [-] and zenith troposphere [m] left over."""
+MASK, SINE_ON, FLOOR_SD, IONO_ON, TROPO_ON, IONO_PART, TROPO_SD = range(7)
+"""Fields of ``model``: elevation mask [rad]; 1 where noise grows towards the horizon; noise
+of every range [m]; switches; part of the ionosphere [-] and zenith troposphere [m] left over."""
 
 
 @njit(cache=True, nogil=True)
@@ -91,7 +91,8 @@ def look_angles(lat: float, lon: float, ex: float, ey: float, ez: float) -> tupl
 @njit(cache=True, nogil=True)
 def form_residuals(
     state: FloatArray, satellites: FloatArray, pseudorange: FloatArray, noise: FloatArray,
-    excluded: Flags, klobuchar: FloatArray, tow: float, model: FloatArray, geometry: FloatArray,
+    orbit_sd: FloatArray, excluded: Flags, klobuchar: FloatArray, tow: float,
+    model: FloatArray, geometry: FloatArray,
 ) -> int:  # fmt: skip
     """Fill ``geometry`` at a position and clock; return the number of satellites used.
 
@@ -114,8 +115,8 @@ def form_residuals(
                 lat, lon, geometry[i, EX], geometry[i, EY], geometry[i, EZ]
             )
             sine = max(np.sin(elevation), 0.05)
-            code_sd = noise[i] / sine if model[SINE_ON] > 0.0 else noise[i]
-            variance = code_sd**2 + model[EPHEMERIS_SD] ** 2
+            growth = 1.0 / sine if model[SINE_ON] > 0.0 else 1.0
+            variance = model[FLOOR_SD] ** 2 + noise[i] ** 2 * growth + orbit_sd[i] ** 2
             if model[IONO_ON] > 0.0 and elevation > 0.0:
                 iono = klobuchar_point(
                     klobuchar[:4], klobuchar[4:], lat, lon, elevation, geometry[i, AZIMUTH], tow
@@ -124,7 +125,7 @@ def form_residuals(
                 variance += (model[IONO_PART] * iono) ** 2
             if model[TROPO_ON] > 0.0 and elevation > 0.0:
                 delay += saastamoinen_point(lat, height, elevation, 0.7)
-                variance += (model[TROPO_SD] / sine) ** 2
+                variance += (model[TROPO_SD] / (sine + 0.1)) ** 2
         geometry[i, ELEVATION] = elevation
         geometry[i, VARIANCE] = variance
         predicted = distance + state[3] - C * satellites[i, CLOCK] + delay
@@ -161,7 +162,7 @@ def normal_step(geometry: FloatArray, covariance: FloatArray, step: FloatArray) 
 @njit(cache=True, nogil=True)
 def solve_position(
     state: FloatArray, satellites: FloatArray, pseudorange: FloatArray, noise: FloatArray,
-    excluded: Flags, klobuchar: FloatArray, tow: float, model: FloatArray,
+    orbit_sd: FloatArray, excluded: Flags, klobuchar: FloatArray, tow: float, model: FloatArray,
     geometry: FloatArray, covariance: FloatArray,
 ) -> int:  # fmt: skip
     """Iterate position and clock to convergence (Gauss-Newton). Returns the satellites used.
@@ -172,8 +173,8 @@ def solve_position(
         Start, then solution: ECEF position and clock bias [m]. Zeros will do.
     satellites : ndarray, shape (n, 12)
         States at the moments of transmission, as of `core.ephemeris.satellite_states`.
-    pseudorange, noise : ndarray, shape (n,)
-        Measured ranges and their noise at the zenith [m].
+    pseudorange, noise, orbit_sd : ndarray, shape (n,)
+        Measured ranges, their code noise at the zenith, and sigma of orbit and clock [m].
     excluded : ndarray of bool, shape (n,)
         Satellites left out (their residuals are still formed).
     klobuchar, tow, model
@@ -189,8 +190,9 @@ def solve_position(
     step = np.empty(4)
     for _ in range(30):
         used = form_residuals(
-            state, satellites, pseudorange, noise, excluded, klobuchar, tow, model, geometry
-        )
+            state, satellites, pseudorange, noise, orbit_sd,
+            excluded, klobuchar, tow, model, geometry,
+        )  # fmt: skip
         if used < 4 or not normal_step(geometry, covariance, step):
             return 0
         largest = 0.0
@@ -199,14 +201,23 @@ def solve_position(
             largest = max(largest, abs(step[a]))
         if largest < 1e-4:
             return form_residuals(
-                state, satellites, pseudorange, noise, excluded, klobuchar, tow, model, geometry
+                state,
+                satellites,
+                pseudorange,
+                noise,
+                orbit_sd,
+                excluded,
+                klobuchar,
+                tow,
+                model,
+                geometry,
             )
     return 0
 
 
 @njit(cache=True, nogil=True)
 def solve_velocity(
-    position: FloatArray, satellites: FloatArray, range_rate: FloatArray, noise: FloatArray,
+    position: FloatArray, satellites: FloatArray, range_rate: FloatArray, variance: FloatArray,
     excluded: Flags, geometry: FloatArray, state: FloatArray, covariance: FloatArray,
     residual: FloatArray,
 ) -> int:  # fmt: skip
@@ -245,7 +256,7 @@ def solve_velocity(
             predicted = C * (tau_rate + bias_rate - clock) / (1.0 + bias_rate)
             residual[i] = range_rate[i] - predicted
             fit[i, RESIDUAL] = residual[i]
-            fit[i, VARIANCE] = (noise[i] / max(np.sin(geometry[i, ELEVATION]), 0.05)) ** 2
+            fit[i, VARIANCE] = variance[i]
             fit[i, EX], fit[i, EY], fit[i, EZ] = ex, ey, ez
         if used < 4 or not normal_step(fit, covariance, step):
             return 0

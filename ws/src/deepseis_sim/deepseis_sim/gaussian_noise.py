@@ -24,6 +24,8 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from deepseis_core.types import Float32Array
+
 BLOCK: Final = 1024
 """Samples that share one set of keys; noise is made in whole blocks."""
 
@@ -39,23 +41,27 @@ LN_TWO: Final = F32(0.6931471805599453)
 
 
 @intrinsic
-def float_bits(typing_context, value):  # type: ignore[no-untyped-def]  # noqa: ARG001, D103
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]  # noqa: ARG001
-        return builder.bitcast(args[0], ir.IntType(32))
-
-    return types.uint32(types.float32), codegen
+def float_bits(_: Any, value: Any) -> Any:
+    """Return the bits of a float32 as uint32 (inside kernels)."""
+    return types.uint32(types.float32), _bitcast_to_int
 
 
 @intrinsic
-def float_from_bits(typing_context, bits):  # type: ignore[no-untyped-def]  # noqa: ARG001, D103
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]  # noqa: ARG001
-        return builder.bitcast(args[0], ir.FloatType())
+def float_from_bits(_: Any, bits: Any) -> Any:
+    """Return the float32 that has these bits (inside kernels)."""
+    return types.float32(types.uint32), _bitcast_to_float
 
-    return types.float32(types.uint32), codegen
+
+def _bitcast_to_int(_: Any, builder: Any, __: Any, args: Any) -> Any:
+    return builder.bitcast(args[0], ir.IntType(32))
+
+
+def _bitcast_to_float(_: Any, builder: Any, __: Any, args: Any) -> Any:
+    return builder.bitcast(args[0], ir.FloatType())
 
 
 @njit(cache=True, nogil=True)
-def split_mix(state):  # type: ignore[no-untyped-def]
+def split_mix(state: Any) -> Any:
     """Scramble 64 bits (the output function of SplitMix64)."""
     z = U64(state)
     z = U64(U64(z ^ U64(z >> U64(30))) * U64(0xBF58476D1CE4E5B9))
@@ -64,7 +70,7 @@ def split_mix(state):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def hash_32(x, key):  # type: ignore[no-untyped-def]
+def hash_32(x: Any, key: Any) -> Any:
     """Scramble 32 bits under a key; a bijection."""
     x = U32(x ^ U32(x >> U32(16)))
     x = U32(x * U32(0x7FEB352D))
@@ -74,7 +80,7 @@ def hash_32(x, key):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def normal_pair(x, y):  # type: ignore[no-untyped-def]
+def normal_pair(x: Any, y: Any) -> Any:
     """Turn two 32-bit words into two independent unit normal values (Box-Muller).
 
     The radius comes from the upper 31 bits of ``x`` (largest value 6.6), the angle from ``y``
@@ -84,9 +90,7 @@ def normal_pair(x, y):  # type: ignore[no-untyped-def]
     bits = float_bits(u)
     exponent = F32(np.int32(bits >> U32(23)) - np.int32(127))
     m = float_from_bits(U32(U32(bits & U32(0x7FFFFF)) | U32(0x3F800000))) - F32(1.5)
-    log_m = LN_0 + m * (
-        LN_1 + m * (LN_2 + m * (LN_3 + m * (LN_4 + m * (LN_5 + m * LN_6))))
-    )
+    log_m = LN_0 + m * (LN_1 + m * (LN_2 + m * (LN_3 + m * (LN_4 + m * (LN_5 + m * LN_6)))))
     radius = np.sqrt(max(F32(0.0), F32(-2.0) * (exponent * LN_TWO + log_m)))
     t = F32(np.int32(y)) * F32(2.0**-31)
     t2 = t * t
@@ -97,7 +101,7 @@ def normal_pair(x, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def fill_block(seed, block, out_i, out_q):  # type: ignore[no-untyped-def]
+def fill_block(seed: Any, block: Any, out_i: Float32Array, out_q: Float32Array) -> None:
     """Write the noise of one block into two float32 arrays of :data:`BLOCK` values."""
     state = U64(U64(seed) + U64(U64(block) * U64(0x9E3779B97F4A7C15)))
     first, second = split_mix(state), split_mix(U64(state ^ U64(0xD1B54A32D192ED03)))
@@ -109,7 +113,7 @@ def fill_block(seed, block, out_i, out_q):  # type: ignore[no-untyped-def]
         out_i[n], out_q[n] = normal_pair(x, y)
 
 
-def gaussian_noise(seed: int, start: int, count: int) -> NDArray[Any]:
+def gaussian_noise(seed: int, start: int, count: int) -> NDArray[np.complex64]:
     """Make complex noise of unit variance per component for samples ``start .. start + count``.
 
     Parameters

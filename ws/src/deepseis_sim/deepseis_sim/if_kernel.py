@@ -11,56 +11,116 @@ inner loop is a branch, a gather, or longer than 32 bits.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from deepseis_sim.gaussian_noise import BLOCK, F32, U32, U64, fill_block, float_bits, float_from_bits
+from deepseis_core.types import Float32Array, FloatArray, IntArray
+from deepseis_sim import gaussian_noise as noise
+from deepseis_sim.gaussian_noise import F32, U32, U64, float_bits, float_from_bits
 
-TILE: Final = BLOCK
+TILE: Final = noise.BLOCK
 """Samples of one tile."""
 
-SEGMENT_TERMS: Final = 4
-"""Coefficients of the phase polynomials: cubic in the fraction of a segment."""
+CHIP: Final = float(1 << 27)
+"""Units of the fixed-point code phase in a chip: 32 chips fill 32 bits."""
 
 TWO_PI: Final = 2.0 * np.pi
 
+fill_noise = noise.fill_block
+
+
+class Signals(NamedTuple):
+    """The satellites: rows of every array.
+
+    ``phase`` [cycles] and ``code`` [chips], shape (n, n_segments, 4), are cubics in the fraction
+    of a segment, from segment ``first_segment`` on; code counts from the beginning of code
+    period ``period`` (n, n_segments), and that from the beginning of ``bits`` (n, n_bits), one
+    each 20 periods, 1 where the signal is inverted. ``amplitude`` (n, n_segments) is in standard
+    deviations of the noise per component. ``windows`` (n, 1023) holds the code's 32 chips from
+    each chip on, the first in bit 0, set where the chip is -1.
+    """
+
+    first_segment: int
+    phase: FloatArray
+    code: FloatArray
+    period: IntArray
+    bits: NDArray[np.uint8]
+    amplitude: FloatArray
+    windows: NDArray[np.uint32]
+
+
+class Sampling(NamedTuple):
+    """The front end.
+
+    ``increment`` is the step of the IF's phase [2**-64 cycle], ``sign`` -1 where the spectrum is
+    mirrored. ``group`` samples share a window: ``(group - 1)`` times the chips a sample takes
+    must stay below 31. Levels are ``2 floor(x) + 1`` if ``odd``, else whole, at most ``limit``.
+    """
+
+    tiles_per_segment: int
+    increment: np.uint64
+    sign: float
+    group: int
+    seed: np.uint64
+    noise: bool
+    inverse_step: np.float32
+    odd: bool
+    limit: np.float32
+
 
 @njit(cache=True, nogil=True, inline="always")
-def cubic(coefficients, x):  # type: ignore[no-untyped-def]
+def cubic(coefficients: FloatArray, x: float) -> float:
     """Evaluate a cubic by Horner's rule."""
     c = coefficients
     return c[0] + x * (c[1] + x * (c[2] + x * c[3]))
 
 
 @njit(cache=True, nogil=True)
-def rotation_table(step_cycles, table_c, table_s, rotor_c, rotor_s):  # type: ignore[no-untyped-def]
+def rotation_table(
+    step: float,
+    table_c: Float32Array,
+    table_s: Float32Array,
+    exact_c: FloatArray,
+    exact_s: FloatArray,
+) -> tuple[float, float]:
     """Fill ``exp(j 2 pi step b)`` for b = 0 .. table size, and return the value after the last.
 
-    The table doubles from one value, in float64: its error is below 1e-14 at 64 values.
+    The table doubles from one value, in float64 (``exact``, scratch): off by less than 1e-14.
     """
-    rotor_c[0], rotor_s[0] = 1.0, 0.0
-    c, s = np.cos(TWO_PI * step_cycles), np.sin(TWO_PI * step_cycles)
+    exact_c[0], exact_s[0] = 1.0, 0.0
+    c, s = np.cos(TWO_PI * step), np.sin(TWO_PI * step)
     size = 1
     while size < table_c.size:
         for b in range(size):
-            rotor_c[size + b] = rotor_c[b] * c - rotor_s[b] * s
-            rotor_s[size + b] = rotor_c[b] * s + rotor_s[b] * c
+            exact_c[size + b] = exact_c[b] * c - exact_s[b] * s
+            exact_s[size + b] = exact_c[b] * s + exact_s[b] * c
         c, s = c * c - s * s, 2.0 * c * s
         size *= 2
     for b in range(table_c.size):
-        table_c[b] = rotor_c[b]
-        table_s[b] = rotor_s[b]
+        table_c[b] = exact_c[b]
+        table_s[b] = exact_s[b]
     return c, s
 
 
 @njit(cache=True, nogil=True)
-def add_group(out_i, out_q, table_c, table_s, anchor_c, anchor_s, fraction, step, window):  # type: ignore[no-untyped-def]
+def add_group(
+    out_i: Float32Array,
+    out_q: Float32Array,
+    table_c: Float32Array,
+    table_s: Float32Array,
+    anchor_c: Any,
+    anchor_s: Any,
+    fraction: Any,
+    step: Any,
+    window: Any,
+) -> None:
     """Add one satellite to a group of samples.
 
-    ``fraction + b * step`` is the code phase in units of 2**-27 chip from the first chip of
-    ``window``, whose bit k (set: -1) is the k-th chip.
+    ``fraction + b * step`` is the code phase of sample b, in units of 1 / CHIP, from the first
+    chip of ``window``; a set bit turns the carrier's sign.
     """
     for b in range(out_i.size):
         chip = U32(U32(fraction + U32(U32(b) * step)) >> U32(27))
@@ -73,69 +133,69 @@ def add_group(out_i, out_q, table_c, table_s, anchor_c, anchor_s, fraction, step
 
 
 @njit(cache=True, nogil=True, inline="always")
-def chip_window(windows, bits, chip, millisecond):  # type: ignore[no-untyped-def]
-    """Return 32 chips times data bits from chip ``chip`` of code period ``millisecond``.
-
-    Parameters
-    ----------
-    windows : ndarray of uint32, shape (1023,)
-        The code's 32 chips from each chip on, the first one in bit 0.
-    bits : ndarray of uint8
-        Data bits (1: the signal is inverted), one each 20 code periods.
-    """
+def chip_window(
+    windows: NDArray[np.uint32], bits: NDArray[np.uint8], chip: int, period: int
+) -> Any:
+    """Return 32 chips times data bits from chip ``chip`` of code period ``period``."""
     window = windows[chip]
-    now = bits[millisecond // 20]
+    now = bits[period // 20]
     if now:
         window = U32(~window)
     left = 1023 - chip
-    if left < 32 and bits[(millisecond + 1) // 20] != now:
+    if left < 32 and bits[(period + 1) // 20] != now:
         window = U32(window ^ U32(U32(0xFFFFFFFF) << U32(left)))
     return window
 
 
 @njit(cache=True, nogil=True)
-def add_satellite(out_i, out_q, phase, rotation, code, code_rate, period, amplitude, windows, bits, scratch):  # type: ignore[no-untyped-def]
+def add_satellite(
+    out_i: Float32Array,
+    out_q: Float32Array,
+    carrier: tuple[float, float, float],
+    code: tuple[float, float, int],
+    windows: NDArray[np.uint32],
+    bits: NDArray[np.uint8],
+    scratch: tuple[Float32Array, Float32Array, FloatArray, FloatArray],
+) -> None:
     """Add one satellite to a tile.
 
     Parameters
     ----------
     out_i, out_q : ndarray of float32, shape (TILE,)
-    phase, rotation : float
-        Carrier phase at the tile's first sample [cycles] and its increment a sample.
-    code, code_rate : float
-        Code phase from the beginning of code period ``period`` [chips], its increment a sample.
-    period : int
-        Counted from the beginning of ``bits``.
-    amplitude : float
+    carrier : tuple
+        Amplitude, phase at the first sample [cycles], its increment a sample.
+    code : tuple
+        Code phase at the first sample [chips] from the beginning of a code period, its increment
+        a sample, and that period's number.
     windows, bits : ndarray
-        See :func:`chip_window`.
+        The satellite's rows of `Signals`.
     scratch : tuple of ndarray, shape (group,)
-        Two of float32, two of float64.
+        For `rotation_table`.
     """
-    table_c, table_s, rotor_c, rotor_s = scratch
-    turn_c, turn_s = rotation_table(rotation, table_c, table_s, rotor_c, rotor_s)
+    table_c, table_s, exact_c, exact_s = scratch
+    amplitude, phase, rotation = carrier
+    start_chips, rate, start_period = code
+    turn_c, turn_s = rotation_table(rotation, table_c, table_s, exact_c, exact_s)
     c, s = amplitude * np.cos(TWO_PI * phase), amplitude * np.sin(TWO_PI * phase)
-    step = U32(code_rate * 134217728.0)
+    step = U32(rate * CHIP)
     group = table_c.size
     for start in range(0, out_i.size, group):
-        position = code + code_rate * start
-        millisecond = np.int64(position / 1023.0)
-        within = position - 1023.0 * millisecond
-        chip = min(np.int64(within), 1022)
-        fraction = U32(min((within - chip) * 134217728.0, 134217727.0))
-        window = chip_window(windows, bits, chip, period + millisecond)
-        end = start + group
-        add_group(
-            out_i[start:end], out_q[start:end], table_c, table_s, F32(c), F32(s),
-            fraction, step, window,
-        )  # fmt: skip
+        chips = start_chips + rate * start
+        periods = np.int64(chips / 1023.0)
+        within = chips - 1023.0 * periods
+        chip = int(within)
+        fraction = U32(min((within - chip) * CHIP, CHIP - 1.0))
+        window = chip_window(windows, bits, chip, start_period + periods)
+        part_i, part_q = out_i[start : start + group], out_q[start : start + group]
+        add_group(part_i, part_q, table_c, table_s, F32(c), F32(s), fraction, step, window)
         c, s = c * turn_c - s * turn_s, c * turn_s + s * turn_c
 
 
 @njit(cache=True, nogil=True)
-def quantise(x, inverse_step, odd, limit, out):  # type: ignore[no-untyped-def]
-    """Write levels: odd ones ``2 floor(x) + 1`` or whole ones, cut off at ``limit``."""
-    if odd:
+def quantise(x: Float32Array, sampling: Sampling, out: NDArray[Any]) -> None:
+    """Write the levels of a tile."""
+    inverse_step, limit = sampling.inverse_step, sampling.limit
+    if sampling.odd:
         for n in range(x.size):
             level = F32(2.0) * np.floor(x[n] * inverse_step) + F32(1.0)
             out[n] = np.int32(min(max(level, -limit), limit))
@@ -146,64 +206,64 @@ def quantise(x, inverse_step, odd, limit, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def synthesise(first_tile, first_segment, tiles_per_segment, phase, code, period, amplitude, windows, bits, carrier, group, seed, noise, levels, out_i, out_q):  # type: ignore[no-untyped-def]
+def add_signals(
+    tile: int,
+    signals: Signals,
+    sampling: Sampling,
+    out_i: Float32Array,
+    out_q: Float32Array,
+    scratch: Any,
+) -> None:
+    """Add all satellites to a tile."""
+    length = sampling.tiles_per_segment
+    segment = tile // length
+    begin, end = (tile - segment * length) / length, (tile - segment * length + 1) / length
+    row = segment - signals.first_segment
+    if_phase = np.float64(U64(sampling.increment * U64(tile * TILE))) * 2.0**-64
+    if_step = np.float64(sampling.increment) * 2.0**-64
+    for m in range(signals.phase.shape[0]):
+        amplitude = signals.amplitude[m, row]
+        if amplitude == 0.0:
+            continue
+        phase, code = signals.phase[m, row], signals.code[m, row]
+        p0, p1 = cubic(phase, begin), cubic(phase, end)
+        c0, c1 = cubic(code, begin), cubic(code, end)
+        p = sampling.sign * (p0 - np.floor(p0)) + if_phase
+        rotation = sampling.sign * (p1 - p0) / TILE + if_step
+        carrier = (amplitude, p, rotation)
+        chips = (c0, (c1 - c0) / TILE, signals.period[m, row])
+        add_satellite(out_i, out_q, carrier, chips, signals.windows[m], signals.bits[m], scratch)
+
+
+@njit(cache=True, nogil=True)
+def synthesise(
+    first_tile: int, signals: Signals, sampling: Sampling, out_i: NDArray[Any], out_q: NDArray[Any]
+) -> None:
     """Make whole tiles of quantised IF samples.
 
     Parameters
     ----------
     first_tile : int
         Number of the first tile; its first sample is ``first_tile * TILE``.
-    first_segment, tiles_per_segment : int
-        Segment number of the polynomials' first row, and a segment's length.
-    phase, code : ndarray of float64, shape (n_satellites, n_segments, 4)
-        Carrier phase [cycles] and code phase [chips, from the beginning of ``period``] as cubics
-        in the fraction of the segment.
-    period : ndarray of int64, shape (n_satellites, n_segments)
-        Code periods from the beginning of ``bits``.
-    amplitude : ndarray of float64, shape (n_satellites, n_segments)
-        In units of the noise's standard deviation per component.
-    windows : ndarray of uint32, shape (n_satellites, 1023)
-    bits : ndarray of uint8, shape (n_satellites, n_bits)
-    carrier : tuple (uint64, float)
-        Phase increment of the IF [2**-64 cycle], and the sign of the satellites' phase (-1:
-        mirrored spectrum).
-    group : int
-        Samples per group, a power of two; ``(group - 1) * chips per sample`` below 31.
-    seed : uint64
-    noise : bool
-        Whether there is any.
-    levels : tuple (float32, bool, float32)
-        Inverse step, odd levels or whole ones, largest level.
+    signals : Signals
+        Covering these samples.
+    sampling : Sampling
     out_i, out_q : ndarray of int8 or int16, shape (n_tiles * TILE,)
     """
-    increment, sign = carrier
-    inverse_step, odd, limit = levels
     tile_i, tile_q = np.empty(TILE, np.float32), np.empty(TILE, np.float32)
+    group = sampling.group
     scratch = (
-        np.empty(group, np.float32), np.empty(group, np.float32),
-        np.empty(group, np.float64), np.empty(group, np.float64),
-    )  # fmt: skip
+        np.empty(group, np.float32),
+        np.empty(group, np.float32),
+        np.empty(group, np.float64),
+        np.empty(group, np.float64),
+    )
     for k in range(out_i.size // TILE):
-        tile = first_tile + k
-        if noise:
-            fill_block(seed, U64(tile), tile_i, tile_q)
+        if sampling.noise:
+            fill_noise(sampling.seed, U64(first_tile + k), tile_i, tile_q)
         else:
-            tile_i[:], tile_q[:] = 0.0, 0.0
-        segment = tile // tiles_per_segment
-        x0 = (tile - segment * tiles_per_segment) / tiles_per_segment
-        x1 = (tile - segment * tiles_per_segment + 1) / tiles_per_segment
-        row = segment - first_segment
-        if_phase = np.float64(U64(increment * U64(tile * TILE))) * 2.0**-64
-        if_step = np.float64(increment) * 2.0**-64
-        for m in range(phase.shape[0]):
-            if amplitude[m, row] == 0.0:
-                continue
-            p0, p1 = cubic(phase[m, row], x0), cubic(phase[m, row], x1)
-            c0, c1 = cubic(code[m, row], x0), cubic(code[m, row], x1)
-            p = sign * (p0 - np.floor(p0)) + if_phase
-            add_satellite(
-                tile_i, tile_q, p, sign * (p1 - p0) / TILE + if_step,
-                c0, (c1 - c0) / TILE, period[m, row], amplitude[m, row], windows[m], bits[m], scratch,
-            )  # fmt: skip
-        quantise(tile_i, inverse_step, odd, limit, out_i[k * TILE : (k + 1) * TILE])
-        quantise(tile_q, inverse_step, odd, limit, out_q[k * TILE : (k + 1) * TILE])
+            tile_i[:] = 0.0
+            tile_q[:] = 0.0
+        add_signals(first_tile + k, signals, sampling, tile_i, tile_q, scratch)
+        quantise(tile_i, sampling, out_i[k * TILE : (k + 1) * TILE])
+        quantise(tile_q, sampling, out_q[k * TILE : (k + 1) * TILE])

@@ -25,7 +25,7 @@ from deepseis_core.constants import CA_LENGTH, CA_RATE_CPS
 from deepseis_core.errors import InputError
 from deepseis_core.if_format import IfFormat
 from deepseis_core.types import FloatArray
-from deepseis_sim.if_kernel import TILE, synthesise
+from deepseis_sim.if_kernel import TILE, Sampling, Signals, synthesise
 
 OPTIMUM_STEP: Final = {1: 1.596, 2: 0.9957, 4: 0.3352, 8: 0.03076, 16: 1 / 4096}
 """Quantiser step per standard deviation that distorts a normal variable least (J. Max,
@@ -94,7 +94,7 @@ class IfSynthesizer:
     noise : bool, optional
         False leaves the bare signal, for tests.
     mean_cn0_dbhz : sequence of float, optional
-        C/N0 for which the automatic gain is set; none: noise alone.
+        C/N0 of the satellites for which the automatic gain is set; none: noise alone.
 
     Attributes
     ----------
@@ -119,26 +119,29 @@ class IfSynthesizer:
         self.sample_rate_hz = float(sample_rate_hz)
         self.tiles_per_segment = max(1, round(SEGMENT * sample_rate_hz / TILE))
         self.segment_samples = self.tiles_per_segment * TILE
-        self._group = 64 if 63 * CA_RATE_CPS / sample_rate_hz < 30 else 16
-        increment = phase_increment(intermediate_frequency_hz, sample_rate_hz)
-        self._carrier = (np.uint64(increment), -1.0 if format.inverted else 1.0)
         self._windows = np.array([chip_windows(p) for p in prn], np.uint32).reshape(-1, CA_LENGTH)
-        self._seed = np.uint64(seed & (2**64 - 1))
-        self._noise = noise
-        self._levels = self._quantiser(mean_cn0_dbhz)
+        self._sampling = Sampling(
+            tiles_per_segment=self.tiles_per_segment,
+            increment=np.uint64(phase_increment(intermediate_frequency_hz, sample_rate_hz)),
+            sign=-1.0 if format.inverted else 1.0,
+            group=64 if 63 * CA_RATE_CPS / sample_rate_hz < 30 else 16,
+            seed=np.uint64(seed & (2**64 - 1)),
+            noise=noise,
+            inverse_step=np.float32(1.0 / self._step(noise, mean_cn0_dbhz)),
+            odd=format.levels == "odd",
+            limit=np.float32(min(format.max_level, 32767 if format.bits == 16 else 127)),
+        )
 
     def amplitude(self, cn0_dbhz: FloatArray) -> FloatArray:
         """Return the amplitude that has a C/N0, in units of the noise per component."""
         cn0 = 10.0 ** (np.asarray(cn0_dbhz, np.float64) / 10.0)
         return np.sqrt((4.0 if self.format.is_real else 2.0) * cn0 / self.sample_rate_hz)
 
-    def _quantiser(self, cn0_dbhz: Sequence[float]) -> tuple[np.float32, bool, np.float32]:
-        """Set the gain by the power that is to come: step, kind of levels, largest level."""
+    def _step(self, noise: bool, cn0_dbhz: Sequence[float]) -> float:
+        """Set the gain by the power that is to come: quantiser step in units of the noise."""
         signals = float(np.sum(self.amplitude(np.asarray(cn0_dbhz, np.float64)) ** 2)) / 2.0
-        sigma = np.sqrt(float(self._noise) + signals) or 1.0
-        step = OPTIMUM_STEP[self.format.bits] * sigma
-        limit = min(self.format.max_level, 32767 if self.format.bits == 16 else 127)
-        return np.float32(1.0 / step), self.format.levels == "odd", np.float32(limit)
+        sigma = float(np.sqrt(float(noise) + signals)) or 1.0
+        return OPTIMUM_STEP[self.format.bits] * sigma
 
     def levels(
         self, segments: SignalSegments, start: int, count: int
@@ -160,12 +163,16 @@ class IfSynthesizer:
         first, last = start // TILE, -(-(start + count) // TILE)
         shape = (last - first) * TILE
         out_i, out_q = np.empty(shape, self.format.dtype), np.empty(shape, self.format.dtype)
-        synthesise(
-            first, segments.first_segment, self.tiles_per_segment,
-            segments.carrier_phase_cycles, segments.code_phase_chips, segments.code_period,
-            self.amplitude(segments.cn0_dbhz), self._windows, segments.bits,
-            self._carrier, self._group, self._seed, self._noise, self._levels, out_i, out_q,
-        )  # fmt: skip
+        signals = Signals(
+            segments.first_segment,
+            segments.carrier_phase_cycles,
+            segments.code_phase_chips,
+            segments.code_period,
+            segments.bits,
+            self.amplitude(segments.cn0_dbhz),
+            self._windows,
+        )
+        synthesise(first, signals, self._sampling, out_i, out_q)
         part = slice(start - first * TILE, start - first * TILE + count)
         return out_i[part], out_q[part]
 

@@ -161,8 +161,12 @@ def write_recording(
         raise InputError(error.filename or folder, error.strerror or str(error)) from None
     if progress:
         progress(duration)
+    if_path, descriptor_path, truth_path, nav_path = (folder / path.name for path in made)
     return SimulatedRecording(
-        *(folder / path.name for path in made),
+        if_path,
+        descriptor_path,
+        truth_path,
+        nav_path,
         round(duration * front_end.sample_rate_hz),
         tuple(item.satellite for item in model.satellites),
     )

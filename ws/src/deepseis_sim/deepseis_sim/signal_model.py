@@ -153,7 +153,7 @@ class SignalModel:
         return self.delays(time).carrier_phase_cycles + self.initial_phase_cycles
 
     def carrier_doppler_hz(self, time: FloatArray) -> FloatArray:
-        """Return the carriers' Doppler by a central difference over 1 ms (2 g at 2 Hz: 5e-5 Hz)."""
+        """Return the carriers' Doppler, a central difference over 1 ms (5e-5 Hz off at 2 g)."""
         later = self.carrier_phase_cycles(time + _DIFFERENCE_STEP)
         return (later - self.carrier_phase_cycles(time - _DIFFERENCE_STEP)) / 1e-3
 
@@ -195,7 +195,7 @@ class SignalModel:
         parts = []
         for part in range(2):
             table = np.array([self._grid[k][part] for k in wanted])
-            parts.append(_catmull_rom(*(table[cell - low + k] for k in range(4)), share))
+            parts.append(_catmull_rom([table[cell - low + k] for k in range(4)], share))
         return parts[0], parts[1]
 
     def _atmosphere_grid(self, number: int) -> tuple[FloatArray, FloatArray]:
@@ -219,16 +219,15 @@ class SignalModel:
         return ionosphere, troposphere
 
 
-def _catmull_rom(
-    p0: FloatArray, p1: FloatArray, p2: FloatArray, p3: FloatArray, s: FloatArray
-) -> FloatArray:
-    """Interpolate between p1 (s = 0) and p2 (s = 1) of four equidistant values."""
+def _catmull_rom(points: Sequence[FloatArray], s: FloatArray) -> FloatArray:
+    """Interpolate between the second (s = 0) and the third (s = 1) of four equidistant values."""
+    p0, p1, p2, p3 = points
     cubic = 3.0 * (p1 - p2) + p3 - p0
     return p1 + 0.5 * s * (p2 - p0 + s * (2.0 * p0 - 5.0 * p1 + 4.0 * p2 - p3 + s * cubic))
 
 
 def _cubics(at_nodes: FloatArray) -> FloatArray:
-    """Turn values at the nodes of successive segments, shape (3 k + 1, n), into cubics (n, k, 4)."""
+    """Turn values at the nodes of k segments, shape (3 k + 1, n), into cubics (n, k, 4)."""
     begin = at_nodes[:-1:3]
     # Differences from the segment's beginning keep the digits of a phase of 1e8 cycles; plain
     # elementwise arithmetic keeps a segment's cubic independent of how many there are.

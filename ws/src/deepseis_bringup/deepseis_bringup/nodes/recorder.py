@@ -14,7 +14,7 @@ from deepseis_bringup.ros_definitions import TopicQos
 from deepseis_core.config import setting
 from deepseis_core.errors import InputError
 from deepseis_core.ros import qos
-from deepseis_core.ros.convert import message_class
+from deepseis_core.ros.cdr import message_class
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown

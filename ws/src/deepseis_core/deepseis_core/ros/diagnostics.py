@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from deepseis_core.ros.cdr import encode_message
 from deepseis_core.ros.convert import stamp_from_ns
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -21,3 +22,10 @@ def array(
     msg = DiagnosticArray(status=[status])
     msg.header.stamp = stamp_from_ns(utc_ns)
     return msg
+
+
+def encoded(
+    name: str, level: bytes, text: str, values: Mapping[str, object], utc_ns: int
+) -> bytes:
+    """One status, serialised (`deepseis_core.ros.cdr`: the same bytes every time)."""
+    return encode_message(array(name, level, text, values, utc_ns))

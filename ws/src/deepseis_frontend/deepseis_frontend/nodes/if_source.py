@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -11,8 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from deepseis_core.config import setting
-from deepseis_core.ros import diagnostics, qos
-from deepseis_core.ros.convert import stamp_from_ns
+from deepseis_core.ros import codecs, diagnostics, qos
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
@@ -102,14 +100,9 @@ class IfSourceNode(Node):
     def send(self, block: IfBlockValue) -> None:
         """Publish one block and say so."""
         utc_ns = self.clock.utc_ns(block.sample_index)
-        msg = IfBlock(format=block.format, sample_index=block.sample_index)
-        msg.header.stamp = stamp_from_ns(utc_ns)
-        msg.sample_count, msg.sample_rate_hz = block.sample_count, block.sample_rate_hz
-        msg.intermediate_frequency_hz = block.intermediate_frequency_hz
-        msg._data = array("B", block.data.tobytes())
         self.last_index = block.sample_index + block.sample_count - 1
         self.window.send(block.sample_index, self.last_index)
-        self.publisher.publish(msg)
+        self.publisher.publish(codecs.IF_BLOCK.encode(block, utc_ns))
         self.sent += 1
         self.flow.send(self.last_index, self.last_index, utc_ns=utc_ns)
         second = int(self.last_index / block.sample_rate_hz)
@@ -124,7 +117,7 @@ class IfSourceNode(Node):
         values |= {r.kind + "_at_sample": r.sample_index for r in remarks[-1:]}
         level = diagnostics.WARN if remarks else diagnostics.OK
         text = remarks[-1].text if remarks else "playing"
-        self.diagnostics.publish(diagnostics.array("if_source", level, text, values, utc_ns))
+        self.diagnostics.publish(diagnostics.encoded("if_source", level, text, values, utc_ns))
 
     def end(self) -> None:
         """Say that nothing follows."""

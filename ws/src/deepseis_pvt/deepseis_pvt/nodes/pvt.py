@@ -13,18 +13,18 @@ from deepseis_core.config import setting
 from deepseis_core.errors import InputError
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.rinex_nav import read_rinex_nav
-from deepseis_core.ros import diagnostics, qos
-from deepseis_core.ros.convert import from_msg, ns_from_stamp, to_msg
+from deepseis_core.ros import codecs, diagnostics, qos
+from deepseis_core.ros.cdr import encode_message
+from deepseis_core.ros.codecs import subscribe
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.navsat import fix_from_pvt
 from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.sample_clock import SampleClock
-from deepseis_core.types import Ephemeris as EphemerisValue
+from deepseis_core.types import Ephemeris, TrackingEpochs
 from deepseis_core.types import Observations as ObservationsValue
 from deepseis_core.types import Pvt as PvtValue
-from deepseis_core.types import TrackingEpochs as TrackingEpochsValue
-from deepseis_msgs.msg import Ephemeris, Observations, Pvt, TrackingEpochs, Watermark
+from deepseis_msgs.msg import Observations, Pvt, Watermark
 from deepseis_pvt.observables import ObservablesConfig
 from deepseis_pvt.products import RinexProducts
 from deepseis_pvt.pvt_engine import PvtConfig, PvtEngine
@@ -80,8 +80,8 @@ class PvtNode(Node):
         self.diagnostics = publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
         for satellite in config.satellites:
             topic = f"tracking/{satellite}/epochs"
-            self.create_subscription(TrackingEpochs, topic, self.on_epochs, qos.STREAM)
-        self.create_subscription(Ephemeris, "gnss/ephemeris", self.on_ephemeris, qos.LATCHED)
+            subscribe(self, codecs.TRACKING_EPOCHS, topic, self.on_epochs, qos.STREAM)
+        subscribe(self, codecs.EPHEMERIS, "gnss/ephemeris", self.on_ephemeris, qos.LATCHED)
         self.flow.follow(config.trackers, self.on_tracker)
         if not self.flow.lockstep:
             self.create_timer(0.02, self.on_deadline)
@@ -96,19 +96,17 @@ class PvtNode(Node):
         if file.iono_alpha:
             self.engine.push_klobuchar(file.iono_alpha, file.iono_beta)
 
-    def on_epochs(self, msg: TrackingEpochs) -> None:
+    def on_epochs(self, epochs: TrackingEpochs, utc_ns: int) -> None:
         """Queue the integrations."""
         if self.clock is None:
-            utc_ns = ns_from_stamp(msg.header.stamp)
             rate = self.config.sample_rate_hz
-            self.clock = SampleClock.from_sample(msg.block_sample_index, utc_ns, rate)
-        self.newest = max(self.newest, msg.block_sample_index)
-        self.engine.push_epochs(from_msg(msg, TrackingEpochsValue))
+            self.clock = SampleClock.from_sample(epochs.block_sample_index, utc_ns, rate)
+        self.newest = max(self.newest, epochs.block_sample_index)
+        self.engine.push_epochs(epochs)
         self.work()
 
-    def on_ephemeris(self, msg: Ephemeris) -> None:
+    def on_ephemeris(self, ephemeris: Ephemeris, _utc_ns: int) -> None:
         """Take an ephemeris that was decoded."""
-        ephemeris = from_msg(msg, EphemerisValue)
         self.engine.push_ephemeris(ephemeris)
         if self.products is not None:
             self.products.add(ephemeris)
@@ -146,10 +144,10 @@ class PvtNode(Node):
     def publish(self, observations: ObservationsValue, pvt: PvtValue | None) -> None:
         """Publish one epoch."""
         utc_ns = GpsTime(observations.week, observations.tow_ns).to_utc_ns()
-        self.observations.publish(to_msg(observations, Observations, utc_ns))
+        self.observations.publish(codecs.OBSERVATIONS.encode(observations, utc_ns))
         if pvt is not None:
-            self.pvt.publish(to_msg(pvt, Pvt, utc_ns))
-            self.fix.publish(fix_from_pvt(pvt, utc_ns))
+            self.pvt.publish(codecs.PVT.encode(pvt, utc_ns))
+            self.fix.publish(encode_message(fix_from_pvt(pvt, utc_ns)))
         if self.products is not None:
             self.products.write(observations, pvt)
 
@@ -158,7 +156,7 @@ class PvtNode(Node):
         counts = self.engine.statistics
         text = f"{counts['positions']} positions" if self.engine.clock else "no fix yet"
         level = diagnostics.OK if self.engine.clock and not counts["forced"] else diagnostics.WARN
-        self.diagnostics.publish(diagnostics.array("pvt", level, text, counts, utc_ns))
+        self.diagnostics.publish(diagnostics.encoded("pvt", level, text, counts, utc_ns))
 
     def close(self) -> None:
         """Finish the files."""

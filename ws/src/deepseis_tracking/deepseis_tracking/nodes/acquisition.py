@@ -8,14 +8,14 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from deepseis_core.config import setting
-from deepseis_core.ros import diagnostics, qos
-from deepseis_core.ros.convert import from_msg, ns_from_stamp, to_msg
+from deepseis_core.ros import codecs, diagnostics, qos
+from deepseis_core.ros.codecs import subscribe
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.sample_clock import SampleClock
-from deepseis_core.types import IfBlock as IfBlockValue
-from deepseis_msgs.msg import AcquisitionRequest, AcquisitionResult, IfBlock, Watermark
+from deepseis_core.types import IfBlock
+from deepseis_msgs.msg import AcquisitionRequest, AcquisitionResult, Watermark
 from deepseis_tracking.acquisition import AcquisitionConfig
 from deepseis_tracking.acquisition_engine import AcquisitionEngine, RetryConfig
 from deepseis_tracking.engine import SlotConfig, check_satellites
@@ -45,17 +45,17 @@ class AcquisitionNode(Node):
         self.second = -1
         self.flow.follow(peers.trackers, self.on_tracker)
         self.flow.follow(["if_source"], lambda _msg: self.work())
-        self.create_subscription(IfBlock, "if/samples", self.on_if_block, qos.STREAM)
+        subscribe(self, codecs.IF_BLOCK, "if/samples", self.on_if_block, qos.STREAM)
         self.create_subscription(
             AcquisitionRequest, "acquisition/request", self.on_request, qos.LATCHED
         )
 
-    def on_if_block(self, msg: IfBlock) -> None:
+    def on_if_block(self, block: IfBlock, utc_ns: int) -> None:
         """Queue the block."""
         if self.clock is None:
-            utc_ns = ns_from_stamp(msg.header.stamp)
-            self.clock = SampleClock.from_sample(msg.sample_index, utc_ns, msg.sample_rate_hz)
-        self.engine.push_block(from_msg(msg, IfBlockValue))
+            rate = block.sample_rate_hz
+            self.clock = SampleClock.from_sample(block.sample_index, utc_ns, rate)
+        self.engine.push_block(block)
         self.work()
 
     def on_request(self, msg: AcquisitionRequest) -> None:
@@ -74,7 +74,7 @@ class AcquisitionNode(Node):
         while (results := engine.advance()) is not None and clock is not None:
             for result in results:
                 stamp = clock.utc_ns(result.sample_index)
-                self.publisher.publish(to_msg(result, AcquisitionResult, stamp))
+                self.publisher.publish(codecs.ACQUISITION_RESULT.encode(result, stamp))
             utc_ns = clock.utc_ns(engine.consumed_through)
             self.flow.send(
                 engine.valid_through,
@@ -87,7 +87,7 @@ class AcquisitionNode(Node):
                 self.second = second
                 text = f"{engine.counters['found']} found"
                 self.diagnostics.publish(
-                    diagnostics.array("acquisition", diagnostics.OK, text, engine.counters, utc_ns)
+                    diagnostics.encoded("acquisition", diagnostics.OK, text, engine.counters, utc_ns)
                 )
         source = self.flow.others.get("if_source")
         ended = source is not None and source.end_of_stream and not self.flow.ended

@@ -11,24 +11,16 @@ from rclpy.node import Node
 
 from deepseis_core.config import setting
 from deepseis_core.errors import InputError
-from deepseis_core.ros import diagnostics, qos
-from deepseis_core.ros.convert import from_msg, ns_from_stamp, stamp_from_ns, to_msg
+from deepseis_core.ros import codecs, diagnostics, qos
+from deepseis_core.ros.cdr import encode_message
+from deepseis_core.ros.codecs import subscribe
+from deepseis_core.ros.convert import stamp_from_ns
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process
 from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.sample_clock import SampleClock
-from deepseis_core.types import AcquisitionResult as AcquisitionResultValue
-from deepseis_core.types import Aiding
-from deepseis_core.types import IfBlock as IfBlockValue
-from deepseis_msgs.msg import (
-    AcquisitionRequest,
-    AcquisitionResult,
-    DopplerAiding,
-    Ephemeris,
-    IfBlock,
-    TrackingEpochs,
-    Watermark,
-)
+from deepseis_core.types import AcquisitionResult, Aiding, IfBlock
+from deepseis_msgs.msg import AcquisitionRequest, Ephemeris, TrackingEpochs, Watermark
 from deepseis_tracking.channel import TrackingConfig
 from deepseis_tracking.engine import BlockOutput, SlotConfig, TrackingEngine, check_satellites
 
@@ -92,29 +84,29 @@ class TrackerHost:
 
     def subscribe(self) -> list[Any]:
         """Subscribe to the inputs."""
-        subscribe = self.node.create_subscription
-        made = [subscribe(IfBlock, "if/samples", self.on_if_block, qos.STREAM)]
+        node = self.node
+        made = [subscribe(node, codecs.IF_BLOCK, "if/samples", self.on_if_block, qos.STREAM)]
         if self.config.wait_acquisition:
-            made.append(
-                subscribe(AcquisitionResult, "acquisition/result", self.on_result, qos.LATCHED)
-            )
+            codec, topic = codecs.ACQUISITION_RESULT, "acquisition/result"
+            made.append(subscribe(node, codec, topic, self.on_result, qos.LATCHED))
         if self.config.aiding:
-            made.append(subscribe(DopplerAiding, "aiding/doppler", self.on_aiding, qos.STREAM))
+            codec = codecs.DOPPLER_AIDING
+            made.append(subscribe(node, codec, "aiding/doppler", self.on_aiding, qos.STREAM))
         return made
 
-    def on_if_block(self, msg: IfBlock) -> None:
+    def on_if_block(self, block: IfBlock, utc_ns: int) -> None:
         """Queue the block; work through all that the inputs' watermarks allow."""
         if not self.engine.blocks:
             self.arrived = time.monotonic()
-        self.engine.push_block(from_msg(msg, IfBlockValue))
+        self.engine.push_block(block)
         if self.clock is None:
-            utc_ns = ns_from_stamp(msg.header.stamp)
-            self.clock = SampleClock.from_sample(msg.sample_index, utc_ns, msg.sample_rate_hz)
+            rate = block.sample_rate_hz
+            self.clock = SampleClock.from_sample(block.sample_index, utc_ns, rate)
         self.work()
 
-    def on_result(self, msg: AcquisitionResult) -> None:
+    def on_result(self, result: AcquisitionResult, _utc_ns: int) -> None:
         """Take an acquisition result."""
-        self.engine.push_result(from_msg(msg, AcquisitionResultValue))
+        self.engine.push_result(result)
         self.work()
 
     def on_acquisition(self, msg: Watermark) -> None:
@@ -122,9 +114,9 @@ class TrackerHost:
         self.engine.acquisition_valid(msg.valid_through, msg.event_count)
         self.work()
 
-    def on_aiding(self, msg: DopplerAiding) -> None:
+    def on_aiding(self, aiding: Aiding, _utc_ns: int) -> None:
         """Take aiding."""
-        self.engine.push_aiding(from_msg(msg, Aiding))
+        self.engine.push_aiding(aiding)
         self.work()
 
     def on_source(self, _msg: Watermark) -> None:
@@ -156,17 +148,16 @@ class TrackerHost:
         for ephemeris in output.ephemerides:
             stamp = clock.utc_ns(ephemeris.effective_sample_index)
             self.satellites[ephemeris.satellite].ephemeris.publish(
-                to_msg(ephemeris, Ephemeris, stamp)
+                codecs.EPHEMERIS.encode(ephemeris, stamp)
             )
         for satellite, sample_index in output.requests:
             request = AcquisitionRequest(satellite=satellite, sample_index=sample_index)
             request.header.stamp = stamp_from_ns(utc_ns)
             request.header.frame_id = self.name
-            self.satellites[satellite].request.publish(request)
+            self.satellites[satellite].request.publish(encode_message(request))
         for epochs in output.epochs:
-            self.satellites[epochs.satellite].epochs.publish(
-                to_msg(epochs, TrackingEpochs, utc_ns)
-            )
+            data = codecs.TRACKING_EPOCHS.encode(epochs, utc_ns)
+            self.satellites[epochs.satellite].epochs.publish(data)
         last = block.sample_index + block.sample_count - 1
         self.flow.send(last, last, event_count=self.engine.request_count, utc_ns=utc_ns)
         second = int(last / block.sample_rate_hz)
@@ -178,4 +169,4 @@ class TrackerHost:
         """Publish the counters."""
         level, text, values = self.engine.health()
         level_byte = diagnostics.WARN if level else diagnostics.OK
-        self.diagnostics.publish(diagnostics.array(self.name, level_byte, text, values, utc_ns))
+        self.diagnostics.publish(diagnostics.encoded(self.name, level_byte, text, values, utc_ns))

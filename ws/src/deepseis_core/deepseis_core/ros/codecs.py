@@ -1,0 +1,31 @@
+"""Our values on topics: one codec each, and how nodes subscribe and publish with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+
+from deepseis_core import types
+from deepseis_core.ros.cdr import Codec
+from deepseis_msgs import msg
+
+IF_BLOCK = Codec(types.IfBlock, msg.IfBlock)
+ACQUISITION_RESULT = Codec(types.AcquisitionResult, msg.AcquisitionResult)
+TRACKING_EPOCHS = Codec(types.TrackingEpochs, msg.TrackingEpochs)
+EPHEMERIS = Codec(types.Ephemeris, msg.Ephemeris)
+OBSERVATIONS = Codec(types.Observations, msg.Observations)
+PVT = Codec(types.Pvt, msg.Pvt)
+DOPPLER_AIDING = Codec(types.Aiding, msg.DopplerAiding)
+
+
+def subscribe(
+    node: Node, codec: Codec[Any], topic: str, callback: Callable[[Any, int], None], profile: Any
+) -> Any:
+    """Subscribe to a topic's bytes; ``callback(value, utc_ns)`` gets what they say."""
+
+    def on_bytes(data: bytes) -> None:
+        callback(*codec.decode(data))
+
+    return node.create_subscription(codec.msg_type, topic, on_bytes, profile, raw=True)
