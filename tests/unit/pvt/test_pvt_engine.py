@@ -1,5 +1,6 @@
 import dataclasses
 import random
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -106,10 +107,10 @@ def test_the_grid_is_whole_and_on_gps_time(still):
 
 def test_valid_through_reaches_to_the_next_epoch(still):
     epochs = run(engine(), still)
-    for (o, _), (after, _) in zip(epochs, epochs[1:], strict=False):
+    for (o, _), (after, _) in pairwise(epochs):
         assert o.valid_through == after.sample_index - 1
     found = positions(epochs)
-    for p, after in zip(found, found[1:], strict=False):
+    for p, after in pairwise(found):
         assert p.valid_through == after.sample_index - 1
 
 
@@ -225,6 +226,24 @@ def test_the_clock_jumps_by_whole_milliseconds_in_time_code_and_phase():
         # Code and phase stay together; both move by a millisecond at the jump.
         assert np.ptp(code - phase * C / L1_HZ) < 1e-3
         assert_allclose(np.diff(code)[jump] - np.diff(code)[jump - 1], -1e-3 * C, rtol=2e-3)
+
+
+def test_the_week_turns_over_without_a_seam():
+    until = 604800 - TOW
+    receiver = Receiver(Sky(), start=until - 0.5)
+    names = [f"G{prn:02d}" for prn in range(1, 33)]
+    names = [name for name in names if Sky().elevation(name, until) > 0.2]
+    messages = {name: receiver.messages(name, 1.0) for name in names}
+    made = engine(names, preload=False, max_ephemeris_age=100_000.0)
+    for name in names:
+        made.push_ephemeris(ephemeris(int(name[1:])))
+    epochs = run(made, messages)
+    weeks = [o.week for o, _ in epochs]
+    assert set(weeks) == {WEEK, WEEK + 1}
+    assert epochs[weeks.index(WEEK + 1)][0].tow_ns == 0
+    assert made.statistics["slips"] == len(names)
+    for p in positions(epochs):
+        assert_allclose(p.position_ecef, STATION, rtol=0, atol=1e-3)
 
 
 def test_statuses_before_the_first_fix_are_none_at_all(still):

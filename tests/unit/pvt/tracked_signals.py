@@ -124,11 +124,11 @@ class Sky:
         iono = rtk.ionmodel(when, doubles(KLOBUCHAR), pos, angles)
         return iono, rtk.tropmodel(when, pos, angles, 0.7)
 
-    def elevation(self, satellite: str) -> float:
-        """Return the elevation at the start [rad], roughly."""
+    def elevation(self, satellite: str, t: float = 0.0) -> float:
+        """Return the elevation [rad], roughly."""
         self.travel(satellite, 0.0)
         rs, clock, variance = rtk.Arr1Ddouble(3), rtk.Arr1Ddouble(1), rtk.Arr1Ddouble(1)
-        when = rtk.gpst2time(WEEK, float(TOW))
+        when = rtk.gpst2time(WEEK, TOW + t)
         rtk.eph2pos(when, self._eph[satellite][0], rs, clock, variance)
         line = np.array([rs[0], rs[1], rs[2]]) - STATION
         return float(np.arcsin(line @ STATION / np.linalg.norm(line) / np.linalg.norm(STATION)))
@@ -162,7 +162,8 @@ def first_epoch(
 class Receiver:
     """Tracking channels behind one sample clock.
 
-    Sample 0 is taken ``start`` [s] after TOW; the clock gains ``clock_drift`` [s/s].
+    Sample 0 is taken ``start`` [s, whole milliseconds] after TOW; the clock gains
+    ``clock_drift`` [s/s].
     """
 
     sky: Sky
@@ -174,25 +175,26 @@ class Receiver:
         """Return GPS seconds after TOW of a sample."""
         return self.start + sample / self.sample_rate_hz * (1.0 - self.clock_drift)
 
-    def rows(self, satellite: str, seconds: float, length: int) -> Iterator[dict[str, float]]:
+    def rows(
+        self, satellite: str, seconds: float, length: int, first_sample: int
+    ) -> Iterator[dict[str, float]]:
         """Yield contiguous integrations; each NCO cubic interpolates the signal's phase."""
-        offset = int(satellite[1:]) * 1237 % length
-        for start in range(offset, int(seconds * self.sample_rate_hz) - length, length):
+        for start in range(first_sample, int(seconds * self.sample_rate_hz) - length, length):
             tau = NODES * length / (0.02 * self.sample_rate_hz)
             at = start + tau * self.sample_rate_hz
             t = np.array([self.gps_time(s) for s in at])
             code, carrier = np.array([self.sky.travel(satellite, ti) for ti in t]).T
             # Everything below counts from sample time, which runs with the receiver's clock.
-            drift = t - (self.start + at / self.sample_rate_hz)
+            drift = -self.clock_drift * at / self.sample_rate_hz
             phase = np.polynomial.Polynomial.fit(tau, L1_HZ * (drift - carrier), 3).convert().coef
             sent = np.polynomial.Polynomial.fit(tau, drift - code, 3).convert().coef
             # Time of week stays whole: a double of it would be off by centimetres.
-            elapsed_ms = 1000.0 * (self.start + start / self.sample_rate_hz + sent[0])
-            whole_ms, code_ms = divmod(elapsed_ms, 1.0)
+            whole_ms, code_ms = divmod(1000.0 * (start / self.sample_rate_hz + sent[0]), 1.0)
+            transmit_ms = TOW * 1000 + round(self.start * 1000) + int(whole_ms)
             yield {
                 "sample_index": start,
                 "sample_count": length,
-                "transmit_ms": TOW * 1000 + int(whole_ms),
+                "transmit_ms": transmit_ms % 604_800_000,
                 "code_phase_chips": code_ms * 1023,
                 "code_rate_cps": 1.023e6 * (1 + sent[1]),
                 "carrier_phase_cycles": phase[0] - np.round(L1_HZ * 0.07),
@@ -202,12 +204,18 @@ class Receiver:
             }
 
     def messages(
-        self, satellite: str, seconds: float, integration_ms: int = 20
+        self,
+        satellite: str,
+        seconds: float,
+        integration_ms: int = 20,
+        first_sample: int | None = None,
     ) -> list[TrackingEpochs]:
         """Return one satellite's messages, one per 20 ms block."""
         length = round(integration_ms * 1e-3 * self.sample_rate_hz)
+        if first_sample is None:
+            first_sample = int(satellite[1:]) * 1237 % length
         block = round(0.02 * self.sample_rate_hz)
-        rows = list(self.rows(satellite, seconds, length))
+        rows = list(self.rows(satellite, seconds, length, first_sample))
         out = []
         for first in range(0, int(seconds * self.sample_rate_hz), block):
             last = first + block - 1

@@ -147,18 +147,7 @@ def build_graph(config: GraphConfig) -> list[NodeSpec]:
         ),
     ]
     if config.aiding == "truth":
-        nodes.append(
-            NodeSpec(
-                "truth_aiding",
-                "deepseis_ins",
-                "truth_aiding",
-                "truth_aiding",
-                ("aiding/doppler", "/diagnostics"),
-                (),
-                "truth_aiding",
-                {"satellites": satellites},
-            )
-        )
+        nodes.append(_truth_aiding(config))
     source = NodeSpec(
         "if_source",
         "deepseis_frontend",
@@ -174,6 +163,26 @@ def build_graph(config: GraphConfig) -> list[NodeSpec]:
     members = [spec.name for spec in nodes]
     nodes.append(_with(source, {"members": members}))
     return [_finish(spec, nodes, config) for spec in nodes]
+
+
+def _truth_aiding(config: GraphConfig) -> NodeSpec:
+    """Return the bench's aiding; its files are overrides (``parameters["truth_aiding"]``)."""
+    source = config.source
+    parameters: dict[str, Any] = {
+        "satellites": list(config.satellites),
+        "sample_rate_hz": config.sample_rate_hz,
+    }
+    parameters |= {key: source[key] for key in ("start_s", "start_utc") if source.get(key)}
+    return NodeSpec(
+        "truth_aiding",
+        "deepseis_ins",
+        "truth_aiding",
+        "truth_aiding",
+        ("aiding/doppler", "/diagnostics"),
+        (),
+        "truth_aiding",
+        parameters,
+    )
 
 
 def _recorder(config: GraphConfig, others: list[NodeSpec]) -> NodeSpec:
@@ -218,4 +227,5 @@ def _finish(spec: NodeSpec, nodes: list[NodeSpec], config: GraphConfig) -> NodeS
         if count:
             expected.append(f"{topic}={count}")
     extra: dict[str, Any] = {"mode": config.mode, "expected_subscribers": expected}
+    extra["flow_stride_ms"] = 0 if config.aiding or config.mode == "realtime" else 100
     return _with(spec, extra | dict(config.parameters.get(spec.kind, {})))

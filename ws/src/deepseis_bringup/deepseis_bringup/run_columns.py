@@ -26,7 +26,7 @@ class Columns(dict[str, NDArray[Any]]):
         return int(next((len(v) for k, v in self.items() if k.startswith("stamp")), 0))
 
     def per_row(self, name: str) -> NDArray[Any]:
-        """A scalar field repeated for every element of the joined ones."""
+        """Return a scalar field, repeated for every element of the joined ones."""
         return self[name][self[ROW]]
 
 

@@ -126,13 +126,17 @@ class RunData:
 
     @property
     def duration(self) -> float:
-        """Time from the first sample to the last [s]."""
+        """Length of the run [s]."""
         return (self.end_sample - self.start_sample) / self.sample_rate_hz
 
     def seconds(self, sample_index: Any) -> NDArray[np.float64]:
         """Time since the first sample of the run [s]."""
         since = np.asarray(sample_index, np.int64) - self.start_sample
         return np.asarray(since / self.sample_rate_hz)
+
+    def seconds_of_utc(self, stamp_ns: int) -> float:
+        """Time of a message's stamp since the first sample [s]."""
+        return (stamp_ns - self.start_utc_ns) / 1e9
 
     @classmethod
     def read(cls, run_folder: str | Path) -> RunData:
@@ -143,7 +147,7 @@ class RunData:
         Raises
         ------
         InputError
-            Where there is no bag, or no tracking in it.
+            Where there is no bag, or nothing in it.
         """
         folder = Path(run_folder)
         bag = folder / "bag" if (folder / "bag").is_dir() else folder
@@ -209,7 +213,7 @@ class _Reader:
         return handle
 
     def register(self, channel: Channel) -> None:
-        """Learn the types that the file's own schema defines."""
+        """Learn the types in the file's own schema."""
         found = get_types_from_msg(channel.schema.decode(), channel.type_name)
         self.store.register({k: v for k, v in found.items() if k not in self.store.types})
 
@@ -262,31 +266,36 @@ class _Reader:
         run.observations, run.pvt = columns["gnss/observations"], columns["gnss/pvt"]
         run.acquisition = columns["acquisition/result"]
         run.if_blocks = np.array(self.blocks, np.int64).reshape(-1, 2)
-        if not run.tracking:
-            raise InputError(bag, "holds no tracking epochs", "is it the bag of a run?")
-        first = [c["block_sample_index"].min() for c in run.tracking.values()]
-        run.start_sample = int(min(first))
-        run.end_sample = int(max(c["valid_through"].max() for c in run.tracking.values())) + 1
-        longest = max(run.tracking.values(), key=lambda c: len(c["stamp_ns"]))
+        if not run.messages:
+            raise InputError(bag, "holds no messages", "is it the bag of a run?")
         if len(self.blocks):
             run.start_sample = int(run.if_blocks[:, 0].min())
             run.end_sample = int(run.if_blocks.sum(axis=1).max())
+        if run.tracking:
+            self.settle_times()
+        return run
+
+    def settle_times(self) -> None:
+        """Take rate, span and UTC of the run from its tracking, where IF was not recorded."""
+        run = self.run
+        first = [c["block_sample_index"].min() for c in run.tracking.values()]
+        longest = max(run.tracking.values(), key=lambda c: len(c["stamp_ns"]))
+        if not len(self.blocks):
+            run.start_sample = int(min(first))
+            run.end_sample = int(max(c["valid_through"].max() for c in run.tracking.values())) + 1
         if not np.isfinite(run.sample_rate_hz):
             run.sample_rate_hz = _rate_of_stamps(longest)
         before = (longest["block_sample_index"][0] - run.start_sample) / run.sample_rate_hz
         run.start_utc_ns = int(longest["stamp_ns"][0]) - round(before * 1e9)
-        return run
 
 
 def _stamp(message: Any) -> int:
-    stamp = message.header.stamp
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
 
 
 def _rate_of_stamps(columns: Columns) -> float:
     """Sample rate [Hz] from the coarse clock, which knows it exactly but for its nanoseconds."""
     stamps, samples = columns["stamp_ns"], columns["block_sample_index"]
-    if len(stamps) < 2 or stamps[-1] == stamps[0]:
-        return float("nan")
-    rate = float(samples[-1] - samples[0]) * 1e9 / float(stamps[-1] - stamps[0])
-    return float(round(rate)) if abs(rate - round(rate)) < 1e-8 * rate else rate
+    span = float(stamps[-1] - stamps[0])
+    rate = float(samples[-1] - samples[0]) * 1e9 / span if span else float("nan")
+    return float(np.round(rate)) if abs(rate - np.round(rate)) < 1e-8 * rate else rate

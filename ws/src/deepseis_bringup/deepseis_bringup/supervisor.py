@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -20,6 +21,15 @@ from deepseis_core.errors import InputError
 
 STOP_SECONDS = 20.0
 """Time a node has to finish its files after SIGINT [s]."""
+
+
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None)
+
+
+def _die_with_parent() -> None:
+    """Runs in the child: no node outlives its supervisor, however that ends."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def parameter_file(spec: NodeSpec, folder: Path) -> Path:
@@ -84,6 +94,7 @@ class Supervisor:
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
+                preexec_fn=_die_with_parent,
                 env={**os.environ, **self.environment},
             )
 

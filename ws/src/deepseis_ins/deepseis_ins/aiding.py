@@ -2,12 +2,13 @@
 
 The antenna's position, velocity and acceleration at the knots give every satellite's carrier
 Doppler and its rate exactly (`deepseis_core.propagation`): geometry with the Earth's rotation and
-the satellite's clock with relativity. Atmosphere and receiver clock are left to the loop: they
-change slowly, by 0.01 Hz and by 0.1 Hz a second at the worst.
+the satellite's clock with relativity. Atmosphere (0.01 Hz) and receiver clock are left to the
+loop: both change slowly.
 
 Knots lie on multiples of one step of about 1 ms, so those of neighbouring spans are the same
-samples wherever the spans are cut. Between knots the loops interpolate with cubics: at 1 ms an
-error of ``A w^4 (1 ms)^4 / 384`` [Hz], 1e-6 Hz even for 100 Hz shaking at 2 g.
+samples wherever the spans are cut. Between knots the loops interpolate with cubics; shaking of
+amplitude A [Hz] at w [rad/s] leaves ``A w^4 (1 ms)^4 / 384``: 7e-8 Hz at 2 g and 10 Hz, 7e-5 Hz
+at 2 g and 100 Hz.
 
 References
 ----------
@@ -72,7 +73,7 @@ class DopplerPredictor:
     source : str
         Who predicts: "fusion" or "truth".
     start : GpsTime
-        GPS time of sample 0; 1 ms of error shifts a Doppler by less than 0.001 Hz.
+        GPS time of sample 0; 1 s of error shifts a Doppler by less than 1 Hz, all but constant.
     sample_rate_hz : float
         Of the receiver's clock [Hz].
     """

@@ -37,13 +37,15 @@ METRES_PER_MS = SPEED_OF_LIGHT / 1000.0
 class Assistance:
     """What a station knows before it hears anything.
 
-    ``position_ecef`` [m] within kilometres; ``gps_ns_at_sample_0`` GPS time since its epoch of
-    sample 0 [ns], within minutes; ``range_sd`` error of a predicted zenith range [m].
+    ``position_ecef`` [m] within metres, as a surveyed antenna's is; ``gps_ns_at_sample_0`` GPS
+    time since its epoch of sample 0 [ns], within minutes; ``range_sd`` error of a predicted zenith
+    range [m]; ``troposphere`` False for signals that have none.
     """
 
     position_ecef: tuple[float, float, float]
     gps_ns_at_sample_0: int
     range_sd: float = 2.0
+    troposphere: bool = True
 
 
 def predict_transmit_ms(
@@ -158,12 +160,14 @@ def resolve_bits(
         lag = predicted_ms - predicted_ms[reference] - (bit_ms - bit_ms[reference])
         relative = bit_ms + BIT_MS * np.rint(lag / BIT_MS)
         error_ms, sd_ms = _time_error(assistance, los, (relative - predicted_ms) * METRES_PER_MS)
-        if not (3.0 * sd_ms < BIT_MS / 2 and abs(error_ms) < 600_000.0):
+        if not abs(error_ms) < 600_000.0:
             return None
         now_ns += round(error_ms * NS_PER_MS)
         if abs(error_ms) < 0.1:
             break
     else:
+        return None
+    if 3.0 * sd_ms > BIT_MS / 2:
         return None
     # now_ns is good to sd_ms; a bit edge of the reference pins it.
     whole_ms, rest_ns = divmod(now_ns, NS_PER_MS)
@@ -183,7 +187,9 @@ def _predict(
     position = np.array(assistance.position_ecef)
     los = line_of_sight(packed, week, tow_ns, position)
     latitude, longitude, height = geodetic_from_ecef(position).tolist()
-    delay = saastamoinen_delay(latitude, height, los.elevation.copy(), 0.7)
+    delay = np.zeros(len(los.elevation))
+    if assistance.troposphere:
+        delay += saastamoinen_delay(latitude, height, los.elevation.copy(), 0.7)
     if klobuchar is not None:
         delay += klobuchar_delay(
             klobuchar[:4], klobuchar[4:], latitude, longitude,

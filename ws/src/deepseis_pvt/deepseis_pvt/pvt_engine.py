@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepseis_core.config import setting
-from deepseis_core.constants import NS_PER_S, NS_PER_WEEK, SPEED_OF_LIGHT
+from deepseis_core.constants import NS_PER_S, SPEED_OF_LIGHT
 from deepseis_core.ephemeris import states_from_pseudoranges
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.types import (
@@ -26,19 +26,18 @@ from deepseis_core.types import (
     TrackingEpochs,
     TrackingFlag,
 )
-from deepseis_pvt.assisted_start import Assistance, predict_transmit_ms, resolve_start
-from deepseis_pvt.ephemeris_book import EphemerisBook, week_of
+from deepseis_pvt.assisted_start import Assistance, predict_transmit_ms
+from deepseis_pvt.ephemeris_book import EphemerisBook
+from deepseis_pvt.first_fix import FirstFix
 from deepseis_pvt.observables import (
     NS_PER_MS,
     GridClock,
     ObservablesBuilder,
     ObservablesConfig,
 )
-from deepseis_pvt.spp import SppConfig, SppSolution, SppSolver
+from deepseis_pvt.pvt_values import no_position, pvt_of
+from deepseis_pvt.spp import SppConfig, SppSolver
 from deepseis_pvt.track_store import TrackStore
-
-FIRST_TRAVEL_MS = 68
-"""Travel time assumed of the nearest satellite before the receiver's clock is known [ms]."""
 
 COUNTED = (
     *("attempts", "epochs", "empty_epochs", "forced", "predicted_transmit_times"),
@@ -98,7 +97,7 @@ class PvtEngine:
         spp: SppConfig | None = None,
         assistance: Assistance | None = None,
     ) -> None:
-        self.config, self.sample_rate_hz, self.assistance = config, sample_rate_hz, assistance
+        self.config, self.sample_rate_hz = config, sample_rate_hz
         self.store = TrackStore(satellites)
         self.builder = ObservablesBuilder(
             observables or ObservablesConfig(), sample_rate_hz, self.store
@@ -107,6 +106,9 @@ class PvtEngine:
             raise ValueError(f"pvt_rate_hz = {config.pvt_rate_hz} is no divisor of rate_hz")
         self.book = EphemerisBook(config.max_ephemeris_age, config.use_unhealthy)
         self.solver = SppSolver(spp)
+        self._first_fix = FirstFix(
+            self.builder, self.book, self.solver, config.max_first_gdop, assistance
+        )
         self.clock: GridClock | None = None
         self.worked_through = -1
         self._attempt = 0
@@ -121,7 +123,7 @@ class PvtEngine:
 
     @property
     def valid_through(self) -> int:
-        """Last sample before the next epoch, or attempt at the first fix: nothing more up to it."""
+        """Last sample before the next epoch or attempt at the first fix: nothing more to come."""
         if self.clock is not None:
             return self.clock.sample_at(self._next_ns)[0] - 1
         return round(self._attempt * self.config.first_fix_step * self.sample_rate_hz) - 1
@@ -180,97 +182,28 @@ class PvtEngine:
             return True
         return False
 
-    # ---- first fix
-
     def _try_first_fix(self, force_through: int | None) -> bool:
         """Make the next attempt if the inputs allow; tell whether to go on with more."""
         sample = round(self._attempt * self.config.first_fix_step * self.sample_rate_hz)
         if not self._may_work(sample, force_through):
             return False
         self._attempt += 1
-        self.worked_through = sample
         self._counts["attempts"] += 1
+        self.worked_through = sample
         self.builder.locate(sample)
-        transmit = self._transmit_times(sample)
-        if len(transmit) >= 4:
-            solution, receive_ms = self._solve_first(sample, transmit)
-            if solution is not None:
-                self._start_grid(sample, receive_ms, solution)
+        found = self._first_fix.attempt(sample)
+        if found is not None:
+            self._start_grid(sample, *found)
         return True
 
-    def _transmit_times(self, sample: int) -> dict[int, tuple[int, FloatArray]]:
-        """Return whole transmit milliseconds since the GPS epoch, and ephemerides, by number."""
-        builder, found = self.builder, {}
-        for i in np.flatnonzero(builder.row >= 0).tolist():
-            tow_ms = int(builder.transmit_ms[i])
-            if tow_ms < 0:
-                continue
-            name = self.store.satellites[i]
-            item = self.book.find(name, sample, tow_ms * NS_PER_MS, week_known=False)
-            if item is not None:
-                found[i] = (
-                    week_of(item[0], tow_ms) * (NS_PER_WEEK // NS_PER_MS) + tow_ms,
-                    item[1],
-                )
-        if len(found) < 4 and self.assistance is not None:
-            coarse = GridClock(self.sample_rate_hz, self.assistance.gps_ns_at_sample_0)
-            return resolve_start(
-                self.assistance,
-                self.builder,
-                self.store.satellites,
-                self.book,
-                sample,
-                coarse.gps_ns_at(sample),
-            )
-        return found
-
-    def _solve_first(
-        self, sample: int, transmit: dict[int, tuple[int, FloatArray]]
-    ) -> tuple[SppSolution | None, int]:
-        numbers = list(transmit)
-        whole = np.array([transmit[i][0] for i in numbers])
-        receive_ms = int(whole.max()) + FIRST_TRAVEL_MS
-        travel_ms = (receive_ms - whole) - self.builder.code_ms[numbers]
-        near = travel_ms < 150.0
-        numbers = [i for i, ok in zip(numbers, near, strict=True) if ok]
-        if len(numbers) < 4:
-            return None, receive_ms
-        pseudorange = travel_ms[near] * (SPEED_OF_LIGHT / 1000.0)
-        packed = np.stack([transmit[i][1] for i in numbers])
-        week, tow_ns = divmod(receive_ms * NS_PER_MS, NS_PER_WEEK)
-        doppler, cn0 = self.builder.doppler_and_cn0(numbers)
-        solution = self.solver.solve(
-            states_from_pseudoranges(packed, week, tow_ns, pseudorange),
-            pseudorange,
-            doppler,
-            cn0,
-            tow=tow_ns / NS_PER_S,
-            klobuchar=self.book.klobuchar(sample),
-        )
-        if solution is None or not self._credible(solution):
-            return None, receive_ms
-        return solution, receive_ms
-
-    def _credible(self, solution: SppSolution) -> bool:
-        """Tell whether a first fix is consistent, determined, and nearer than the satellites."""
-        radius = float(np.linalg.norm(solution.position_ecef))
-        return (
-            solution.consistent
-            and solution.dops[0] <= self.config.max_first_gdop
-            and 6.3e6 < radius < 2.0e7
-        )
-
-    def _start_grid(self, sample: int, receive_ms: int, solution: SppSolution) -> None:
+    def _start_grid(self, sample: int, gps_ns: int, position_ecef: FloatArray) -> None:
         """Fix the offset between samples and GPS time; find the first grid epoch."""
-        bias_ns = round(solution.clock_bias / SPEED_OF_LIGHT * NS_PER_S)
         clock = GridClock(self.sample_rate_hz, 0)
-        clock.offset_ns = receive_ms * NS_PER_MS - bias_ns - clock.gps_ns_at(sample)
+        clock.offset_ns = gps_ns - clock.gps_ns_at(sample)
         interval = self.builder.interval_ns
-        self._next_ns = (clock.gps_ns_at(sample) // interval + 1) * interval
-        self._state = np.append(solution.position_ecef, 0.0)
+        self._next_ns = (gps_ns // interval + 1) * interval
+        self._state = np.append(position_ecef, 0.0)
         self.clock = clock
-
-    # ---- grid epochs
 
     def _next_epoch(
         self, clock: GridClock, force_through: int | None
@@ -356,49 +289,3 @@ class PvtEngine:
         while clock.sample_at(self._next_ns)[0] <= sample:
             self._next_ns += self.builder.interval_ns
         return True
-
-
-def no_position(observations: Observations) -> Pvt:
-    """Return the statement that an epoch has no position."""
-    return Pvt(
-        sample_index=observations.sample_index,
-        week=observations.week,
-        tow_ns=observations.tow_ns,
-        valid_through=observations.valid_through,
-        status=PvtStatus.NONE,
-        position_ecef=np.full(3, np.nan),
-        velocity_ecef=np.full(3, np.nan),
-        clock_bias=float("nan"),
-        clock_drift=float("nan"),
-        position_covariance_ecef=np.full((3, 3), np.nan),
-        velocity_covariance_ecef=np.full((3, 3), np.nan),
-    )
-
-
-def pvt_of(observations: Observations, satellites: list[str], solution: SppSolution) -> Pvt:
-    """Return a solution as the value that crosses packages."""
-    used = np.flatnonzero(solution.used)
-    dops = solution.dops.tolist()
-    return Pvt(
-        sample_index=observations.sample_index,
-        week=observations.week,
-        tow_ns=observations.tow_ns,
-        valid_through=observations.valid_through,
-        status=PvtStatus.SINGLE,
-        position_ecef=solution.position_ecef,
-        velocity_ecef=solution.velocity_ecef,
-        clock_bias=solution.clock_bias,
-        clock_drift=solution.clock_drift,
-        position_covariance_ecef=solution.covariance[:3, :3].copy(),
-        velocity_covariance_ecef=solution.velocity_covariance[:3, :3].copy(),
-        satellites=tuple(satellites[k] for k in used),
-        pseudorange_residual=solution.pseudorange_residual[used].astype(np.float32),
-        range_rate_residual=solution.range_rate_residual[used].astype(np.float32),
-        elevation=solution.elevation[used].astype(np.float32),
-        azimuth=solution.azimuth[used].astype(np.float32),
-        gdop=dops[0],
-        pdop=dops[1],
-        hdop=dops[2],
-        vdop=dops[3],
-        rejected=tuple(satellites[k] for k in np.flatnonzero(solution.rejected)),
-    )

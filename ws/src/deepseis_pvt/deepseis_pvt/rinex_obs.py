@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import datetime as dt
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import TextIO
@@ -85,6 +85,20 @@ def satellite_line(
     return f"{satellite}{code:14.3f}  {carrier}{doppler:14.3f}  {cn0:14.3f}"
 
 
+def epoch_text(observations: Observations, time: GpsTime) -> str:
+    """Return an epoch's records, satellites in order of their names."""
+    o = observations
+    columns = (
+        o.pseudorange.tolist(),
+        o.carrier_phase_cycles.tolist(),
+        o.carrier_doppler_hz.tolist(),
+        o.cn0_dbhz.tolist(),
+        o.lli.tolist(),
+    )
+    lines = sorted(map(satellite_line, o.satellites, *columns))
+    return "\n".join([epoch_line(time, len(lines)), *lines, ""])
+
+
 def header_lines(
     station: RinexStation, start: GpsTime, interval: float, created: dt.datetime
 ) -> list[str]:
@@ -146,37 +160,39 @@ class RinexObsWriter:
         self.created = created or dt.datetime.now(dt.UTC)
         self.path: Path | None = None
         self._file: TextIO | None = None
-        self._start = self._last = GpsTime(0, 0)
+        self._start: GpsTime | None = None
+        self._last = GpsTime(0, 0)
         self._interval = 1.0
+        self._waiting = ""
 
     def write(self, observations: Observations, position_ecef: FloatArray | None = None) -> None:
-        """Append one epoch; an empty one too, so that gaps in reception show as such.
+        """Append one epoch. Epochs without satellites are left out: readers stumble over them.
 
-        ``position_ecef`` [m] serves the header where the station's own is not known; only the
-        first epoch's counts.
+        ``position_ecef`` [m] serves the header where the station's own is not known; the header
+        waits for it for half a second of data at most.
         """
         o = observations
+        if not o.satellites:
+            return
         time = GpsTime(o.week, o.tow_ns)
+        self._start, self._interval = self._start or time, o.interval
+        text = epoch_text(o, time)
         if self._file is None:
-            self._open(time, o.interval, position_ecef)
-        assert self._file is not None
-        lines = [epoch_line(time, len(o.satellites))]
-        columns = (
-            o.pseudorange.tolist(),
-            o.carrier_phase_cycles.tolist(),
-            o.carrier_doppler_hz.tolist(),
-            o.cn0_dbhz.tolist(),
-            o.lli.tolist(),
-        )
-        lines += sorted(map(satellite_line, o.satellites, *columns))
-        self._file.write("\n".join(lines) + "\n")
-        if time.total_ns // NS_PER_S != self._last.total_ns // NS_PER_S:
+            self._waiting += text
+            known = position_ecef is not None or self.station.position_ecef is not None
+            if known or time.diff_ns(self._start) >= NS_PER_S // 2:
+                self._open(position_ecef)
+        else:
+            self._file.write(text)
+        if self._file and time.total_ns // NS_PER_S != self._last.total_ns // NS_PER_S:
             self._file.flush()
         self._last = time
 
     def close(self) -> Path | None:
         """Finish the file and give it its name; None if there was no epoch."""
-        if self._file is None or self.path is None:
+        if self._waiting:
+            self._open(None)
+        if self._file is None or self.path is None or self._start is None:
             return None
         self._file.close()
         self._file = None
@@ -187,19 +203,20 @@ class RinexObsWriter:
         self.path = self.path.replace(self.folder / name)
         return self.path
 
-    def _open(self, start: GpsTime, interval: float, position: FloatArray | None) -> None:
-        self._start, self._interval = start, interval
-        year, month, day, hour, minute, ns = start.to_calendar()
+    def _open(self, position: FloatArray | None) -> None:
+        assert self._start is not None
+        year, month, day, hour, minute, ns = self._start.to_calendar()
         stamp = f"{year:04d}{month:02d}{day:02d}{hour:02d}{minute:02d}{ns // NS_PER_S:02d}"
         self.path = self.folder / f"{self.station.name}_{stamp}.rnx.part"
-        self._file = self.path.open("w", encoding="ascii", newline="\n")
         station = self.station
         if station.position_ecef is None and position is not None and np.isfinite(position).all():
             x, y, z = map(float, position)
-            station = RinexStation(**{**vars(station), "position_ecef": (x, y, z)})
-        header = header_lines(station, start, interval, self.created)
-        self._file.write("\n".join(header) + "\n")
+            station = replace(station, position_ecef=(x, y, z))
+        header = header_lines(station, self._start, self._interval, self.created)
+        self._file = self.path.open("w", encoding="ascii", newline="\n")
+        self._file.write("\n".join(header) + "\n" + self._waiting)
         self._file.flush()
+        self._waiting = ""
 
     def __enter__(self) -> RinexObsWriter:
         """Return the writer."""

@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deepseis_core.types import FloatArray, IntArray, TrackingEpochs, TrackingFlag
 
@@ -30,6 +29,9 @@ FLOAT_FIELDS = (
     "cn0_dbhz",
 )
 """Columns of ``TrackStore.floats``: fields of ``TrackingEpochs``."""
+
+_SLIP, _PHASE_LOCK = int(TrackingFlag.SLIP), int(TrackingFlag.PHASE_LOCK)
+_HALF_CYCLE = int(TrackingFlag.HALF_CYCLE)
 
 MAX_ROWS = 65536
 """Rows of one satellite: 65 s of 1 ms or 22 minutes of 20 ms integrations [-]."""
@@ -77,14 +79,13 @@ class TrackStore:
             self.counts["disordered"] += 1
             return
         self.published[i] = epochs.valid_through
-        promised = self._promised[i]
         if epochs.ephemeris_count > self._ephemerides[i]:
-            promised.append((epochs.valid_through, epochs.ephemeris_count))
-        if len(epochs.sample_index):
-            ints = self._int_columns(i, epochs)
-            self.counts["late"] += int(np.sum(ints[:, START] + ints[:, COUNT] <= worked_through))
-            floats = np.stack([getattr(epochs, name) for name in FLOAT_FIELDS], axis=1)
-            self._append(i, ints, floats)
+            self._promised[i].append((epochs.valid_through, epochs.ephemeris_count))
+        n = len(epochs.sample_index)
+        if n:
+            if self.tail[i] + n > self.ints.shape[1]:
+                self._make_room(i, n)
+            self._append(i, n, epochs, worked_through)
 
     def received_ephemeris(self, satellite: str) -> None:
         """Count an ephemeris that the satellite's channel has published."""
@@ -104,29 +105,26 @@ class TrackStore:
         """Return the satellite whose messages reach least far."""
         return self.satellites[int(np.argmin(self.published))]
 
-    def _int_columns(self, i: int, epochs: TrackingEpochs) -> IntArray:
-        start = np.asarray(epochs.sample_index, np.int64)
-        ints = np.empty((len(start), 5), np.int64)
-        ints[:, START] = start
+    def _append(self, i: int, n: int, epochs: TrackingEpochs, worked_through: int) -> None:
+        rows = slice(int(self.tail[i]), int(self.tail[i]) + n)
+        ints, floats = self.ints[i, rows], self.floats[i, rows]
+        start, flags = ints[:, START], ints[:, FLAGS]
+        start[:] = epochs.sample_index
         ints[:, COUNT] = epochs.sample_count
         ints[:, TRANSMIT_MS] = epochs.transmit_ms
-        ints[:, FLAGS] = epochs.flags
+        flags[:] = epochs.flags
+        for column, name in enumerate(FLOAT_FIELDS):
+            floats[:, column] = getattr(epochs, name)
         end = start + ints[:, COUNT]
-        before = np.concatenate(([self.end[i]], end[:-1]))
-        flags = ints[:, FLAGS]
-        lost = (flags & TrackingFlag.SLIP != 0) | (flags & TrackingFlag.PHASE_LOCK == 0)
-        turned = flags & TrackingFlag.HALF_CYCLE != 0
-        ints[:, BREAK] = (lost | (start != before)) + 2 * turned
-        self.counts["disordered"] += int(np.sum(start < before))
+        before = np.empty(n, np.int64)
+        before[0] = self.end[i]
+        before[1:] = end[:-1]
+        lost = (flags & _SLIP != 0) | (flags & _PHASE_LOCK == 0) | (start != before)
+        ints[:, BREAK] = lost + 2 * (flags & _HALF_CYCLE != 0)
+        self.counts["disordered"] += int(np.count_nonzero(start < before))
+        if end[0] <= worked_through:
+            self.counts["late"] += int(np.count_nonzero(end <= worked_through))
         self.end[i] = end[-1]
-        return ints
-
-    def _append(self, i: int, ints: IntArray, floats: NDArray[np.float64]) -> None:
-        if self.tail[i] + len(ints) > self.ints.shape[1]:
-            self._make_room(i, len(ints))
-        rows = slice(int(self.tail[i]), int(self.tail[i]) + len(ints))
-        self.ints[i, rows] = ints
-        self.floats[i, rows] = floats
         self.tail[i] = rows.stop
 
     def _make_room(self, i: int, extra: int) -> None:

@@ -26,6 +26,7 @@ from deepseis_tracking.loop_filter import LoopGains, design_loop
 from deepseis_tracking.replica import ReplicaBank
 
 MS_PER_WEEK = 604_800_000
+IDLE = int(TrackingMode.IDLE)
 
 
 @dataclass(frozen=True)
@@ -155,8 +156,10 @@ class Channel:
         check(self.config)
         self.bank = ReplicaBank(satellite, sample_rate_hz)
         self.states = np.zeros(1, STATE)
+        self.state = self.states[0]
         self.configs = self._numbers()
         self.out = np.zeros(64, EPOCH)
+        self.aligned = np.zeros((64, 3), np.int64)
         self.aiding = AidingSpan.none()
         self.ephemeris_count = 0
         self.reference_week = reference_week
@@ -200,13 +203,13 @@ class Channel:
         return numbers
 
     @property
-    def mode(self) -> TrackingMode:
-        """What the channel is doing."""
-        return TrackingMode(int(self.states["mode"][0]))
+    def mode(self) -> int:
+        """What the channel is doing: a ``TrackingMode`` as a number."""
+        return int(self.state["mode"])
 
     def hand_over(self, result: AcquisitionResult, sample_index: int) -> None:
         """Start pulling in at the first code period after ``sample_index``."""
-        state = self.states[0]
+        state = self.state
         carrier_phase = float(state["carrier_phase"])
         flags = int(state["pending_flags"])
         self.states[:] = np.zeros(1, STATE)
@@ -230,11 +233,11 @@ class Channel:
 
     def drop(self, flag: TrackingFlag) -> None:
         """Give the signal up, e.g. because samples are missing."""
-        if self.mode != TrackingMode.IDLE:
+        if self.mode != IDLE:
             self.lost += 1
             self.just_dropped = True
-            self.states["mode"] = TrackingMode.IDLE
-            self.states["pending_flags"] |= int(flag | TrackingFlag.SLIP)
+            self.state["mode"] = IDLE
+            self.state["pending_flags"] |= int(flag | TrackingFlag.SLIP)
 
     def aid(self, aiding: Aiding) -> None:
         """Take the aiding of the next block."""
@@ -266,9 +269,9 @@ class Channel:
         TrackingEpochs, list of Ephemeris
             The block's integrations, and ephemerides completed in it.
         """
-        self.states["noise"] = window.noise
-        self._bit_offset = int(self.states["bit_offset"][0])
-        was_active = self.mode != TrackingMode.IDLE
+        self.state["noise"] = window.noise
+        self._bit_offset = int(self.state["bit_offset"])
+        was_active = self.mode != IDLE
         aiding = self.aiding
         count = channel_kernel.advance(
             self.states,
@@ -286,46 +289,52 @@ class Channel:
             aiding.step,
             aiding.through,
             self.out,
+            self.aligned,
         )
-        rows = self.out[:count]
-        self._bit_offset = max(self._bit_offset, int(self.states["bit_offset"][0]))
+        rows = self.out[:count].copy()
+        self._bit_offset = max(self._bit_offset, int(self.state["bit_offset"]))
         ephemerides = self._navigation(rows)
-        if self.mode == TrackingMode.IDLE:
+        if self.mode == IDLE:
             self.lost += was_active
         else:
-            valid_through = int(self.states["next_sample"][0]) - 1
-        columns = {name: rows[name].copy() for name in EPOCH_FIELDS}
+            valid_through = int(self.state["next_sample"]) - 1
+        columns = {name: rows[name] for name in EPOCH_FIELDS}
         epochs = TrackingEpochs(
             satellite=self.satellite,
             block_sample_index=block_sample_index,
             valid_through=valid_through,
             ephemeris_count=self.ephemeris_count,
-            mode=int(self.mode),
+            mode=self.mode,
             **columns,
         )
         return epochs, ephemerides
 
     def _navigation(self, rows: NDArray[np.void]) -> list[Ephemeris]:
         """Feed data bits to the decoder and apply what it finds to the channel's state."""
-        rows["carrier_phase_cycles"] += self.half_cycle
+        if self.half_cycle:
+            rows["carrier_phase_cycles"] += self.half_cycle
         if self._turned and len(rows):
             rows["flags"][0] |= TrackingFlag.HALF_CYCLE
             self._turned = False
         found: list[Ephemeris] = []
-        for row in rows[rows["bits_aligned"] == 1]:
-            since_edge = int(row["period"]) - self._bit_offset
+        count = len(rows)
+        prompts = rows["prompt_i"].tolist()
+        for k, (period, periods, aligned) in enumerate(self.aligned[:count].tolist()):
+            if not aligned:
+                continue
+            since_edge = period - self._bit_offset
             part = since_edge % 20
-            self._bit = float(row["prompt_i"]) + (self._bit if part else 0.0)
-            if part + int(row["periods"]) < 20:
+            self._bit = prompts[k] + (self._bit if part else 0.0)
+            if part + periods < 20:
                 continue
             for event in self.decoder.push([self._bit], since_edge // 20):
-                found += self._apply(event, int(row["sample_index"] + row["sample_count"]))
+                found += self._apply(event, int(rows["sample_index"][k] + rows["sample_count"][k]))
         return found
 
     def _apply(self, event: Event, end_sample: int) -> list[Ephemeris]:
         """Put a decoder's event into the channel's state."""
         if isinstance(event, SubframeEvent):
-            state = self.states[0]
+            state = self.state
             self.subframes += 1
             self.polarity_turns += event.half_cycle
             start_period = event.bit_index * 20 + self._bit_offset

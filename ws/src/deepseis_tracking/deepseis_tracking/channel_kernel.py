@@ -168,11 +168,20 @@ def _restart(state: Any, residual_hz: float) -> None:
 
 
 @njit(cache=True, nogil=True)
+def _restart_tracking(state: Any, residual_hz: float) -> None:
+    """Pull in again, without aiding: ``residual_hz`` holds its Doppler. Then try the other way."""
+    failed_aided = state.mode == TRACK_AIDED
+    _restart(state, residual_hz)
+    state.aid_held = 1 if failed_aided else 0
+    if failed_aided:
+        state.pending_flags |= AID_DIVERGED
+
+
+@njit(cache=True, nogil=True)
 def _after_integration(
-    state: Any, config: Any, row: Any, sums: np.ndarray, shift: float, seconds: float
+    state: Any, config: Any, row: Any, sums: np.ndarray, shift: float, periods: int
 ) -> None:
     """Discriminators, filters, mode changes after one integration; fills ``row``."""
-    periods = row.periods
     scale = 1.0 / (state.noise * math.sqrt(row.sample_count))
     i, q = sums[2] * scale, sums[3] * scale
     period = periods * PERIOD_S
@@ -221,8 +230,10 @@ def _after_integration(
 
 
 @njit(cache=True, nogil=True)
-def _change_mode(state: Any, config: Any, i: float, q: float, period_of_row: int) -> None:
-    """Decide what the channel does next."""
+def _change_mode(
+    state: Any, config: Any, i: float, q: float, period_of_row: int, aid_hz: float
+) -> None:
+    """Decide what the channel does next; ``aid_hz`` is the aiding in use, 0 without."""
     at_edge = state.bit_offset >= 0 and state.period_count % 20 == state.bit_offset
     if state.mode == PULL_IN and state.mode_epochs >= config.pull_in_epochs:
         state.nco_hz = state.slope_hz
@@ -245,9 +256,9 @@ def _change_mode(state: Any, config: Any, i: float, q: float, period_of_row: int
     elif state.mode >= TRACK:
         residual = math.atan2(state.cross_q, state.cross_i) / (2.0 * math.pi * PERIOD_S)
         if state.mode_epochs > 25 and abs(residual) > 12.0 and state.phase_lock == 0:
-            _restart(state, residual)
+            _restart_tracking(state, residual + aid_hz)
         elif state.unlocked_s > 1.5:
-            _restart(state, 0.0)
+            _restart_tracking(state, aid_hz)
     if state.weak_s > config.loss_s:
         state.mode = IDLE
         state.pending_flags |= SLIP
@@ -325,6 +336,7 @@ def advance(
     knot_step: int,
     aid_through: int,
     out: np.ndarray,
+    aligned: np.ndarray,
 ) -> int:
     """Run every integration that ends inside the buffer.
 
@@ -341,6 +353,8 @@ def advance(
         they were made for.
     out : ndarray of EPOCH, shape (n,)
         Room for the integrations.
+    aligned : ndarray of int64, shape (n, 3)
+        Of each integration: first code period, number of periods, 1 if aligned with data bits.
 
     Returns
     -------
@@ -363,8 +377,8 @@ def advance(
         done += 1
         duration = periods * PERIOD_S
         row.flags = 0
-        switch_flag = aid_valid and state.phase_lock == 1 and state.mode_epochs > 10
-        if state.mode == TRACK and switch_flag:
+        settled = state.phase_lock == 1 and state.mode_epochs > 10
+        if state.mode == TRACK and aid_valid and (settled or state.aid_held == 0):
             here = aid_at(
                 float(state.next_sample), knots, rates, knot_first, knot_step, config.sample_rate
             )
@@ -398,15 +412,18 @@ def advance(
             aid_through,
             duration,
         )
+        if row.aid_age_s > 0.0:
+            row.flags |= AID_MISSED
         f0, f1, f2 = row.carrier_doppler_hz, row.carrier_doppler_rate, row.carrier_doppler_accel
         phase0 = state.carrier_phase
         row.sample_index = state.next_sample
         row.transmit_ms = state.transmit_ms
         row.code_phase_chips = state.code_phase
         row.carrier_phase_cycles = phase0
-        row.period = state.period_count
-        row.periods = periods
-        row.bits_aligned = 1 if state.mode >= TRACK else 0
+        first_period = state.period_count
+        aligned[done - 1, 0] = first_period
+        aligned[done - 1, 1] = periods
+        aligned[done - 1, 2] = 1 if state.mode >= TRACK else 0
         sums[:] = 0.0
         code_phase = state.code_phase
         samples, shift, tau = 0, 0.0, 0.0
@@ -445,6 +462,7 @@ def advance(
             samples += count
             tau = tau_end
         seconds = samples / config.sample_rate
+        aid_end = f0 + seconds * (f1 + seconds * f2) - state.nco_hz if use_aid else 0.0
         row.sample_count = samples
         row.code_rate_cps = (
             code_phase + periods * CA_LENGTH - state.code_phase
@@ -457,6 +475,6 @@ def advance(
             state.transmit_ms = (state.transmit_ms + periods) % 604_800_000
         if state.mode >= TRACK:
             update_cn0(state, prompts[:periods])
-        _after_integration(state, config, row, sums, shift / periods, seconds)
-        _change_mode(state, config, row.prompt_i, row.prompt_q, row.period)
+        _after_integration(state, config, row, sums, shift / periods, periods)
+        _change_mode(state, config, row.prompt_i, row.prompt_q, first_period, aid_end)
     return done

@@ -35,6 +35,7 @@ STATE = np.dtype(
         ("phase_lock", "i8"),
         ("unlocked_s", "f8"),  # time without phase lock in a tracking mode
         ("weak_s", "f8"),  # time below the loss threshold
+        ("aid_held", "i8"),  # 1: the last try with aiding failed, lock without it first
         ("noise", "f8"),  # per component and sample, standard deviation
         ("bit_energy", "f8", (20,)),
         ("recent_i", "f8", (20,)),
@@ -87,8 +88,5 @@ _DOUBLES = (
 EPOCH_FIELDS = tuple(n for n in TrackingEpochs.__dataclass_fields__ if n not in _SKIPPED)
 """Columns of one integration, named as in `deepseis_core.types.TrackingEpochs`."""
 
-EPOCH = np.dtype(
-    [(n, _INTEGERS.get(n, "f8" if n in _DOUBLES else "f4")) for n in EPOCH_FIELDS]
-    + [("period", "i8"), ("periods", "i8"), ("bits_aligned", "i8")]
-)
-"""One integration, with the channel's own columns behind those that are published."""
+EPOCH = np.dtype([(n, _INTEGERS.get(n, "f8" if n in _DOUBLES else "f4")) for n in EPOCH_FIELDS])
+"""One integration, as it is published."""

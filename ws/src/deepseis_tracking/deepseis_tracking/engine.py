@@ -8,7 +8,9 @@ end with one message, and the channels look at the acquisition's watermark once 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from deepseis_core.baseband import Baseband
 from deepseis_core.config import setting
@@ -113,7 +115,11 @@ class TrackingEngine:
             self.results.append(result)
 
     def push_aiding(self, aiding: Aiding) -> None:
-        """Take the aiding of a span; spans come in order."""
+        """Take the aiding of a span; spans come in order. Messages carry the tables flat."""
+        shape = (len(aiding.satellites), aiding.knot_count)
+        doppler = np.reshape(aiding.carrier_doppler_hz, shape)
+        rate = np.reshape(aiding.carrier_doppler_rate, shape)
+        aiding = replace(aiding, carrier_doppler_hz=doppler, carrier_doppler_rate=rate)
         self.aiding.append(aiding)
         self.aiding_through = max(self.aiding_through, aiding.valid_through)
 
@@ -230,6 +236,6 @@ class TrackingEngine:
         values["subframes_failed"] = sum(c.decoder.failed_count for c in channels)
         for name, channel in self.channels.items():
             if channel.mode != TrackingMode.IDLE:
-                values[f"{name}_cn0_dbhz"] = f"{float(channel.states['cn0'][0]):.1f}"
+                values[f"{name}_cn0_dbhz"] = f"{float(channel.state['cn0']):.1f}"
         lost = bool(self.counters["gaps"] or self.counters["aid_missed"])
         return lost, f"tracking {len(tracked)}: {' '.join(tracked)}", values

@@ -68,14 +68,14 @@ class RecorderNode(Node):
             stamp_ns = stamp_of_cdr(cdr)
             self.writer.write(name, type_name, cdr, stamp_ns, stamp_ns)
             if is_if:
-                self.acknowledge_if(cdr)
+                self.acknowledge_if(cdr, stamp_ns)
 
         self.create_subscription(message_class(type_name), topic, on_bytes, chosen, raw=True)
 
-    def acknowledge_if(self, cdr: bytes) -> None:
+    def acknowledge_if(self, cdr: bytes, utc_ns: int) -> None:
         """Give the source its credit."""
         self.last_if = if_block_end(cdr)
-        self.flow.send(self.last_if, self.last_if)
+        self.flow.send(self.last_if, self.last_if, utc_ns=utc_ns)
 
     def on_member(self, msg: Watermark) -> None:
         """Acknowledge without IF; end when everybody has."""

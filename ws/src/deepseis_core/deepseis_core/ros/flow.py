@@ -31,6 +31,7 @@ class FlowConfig:
         choices=("lockstep", "realtime"),
     )
     expected_subscribers: list[str] = setting([], "what to wait for: topic=count [-]")
+    flow_stride_ms: int = setting(0, "announce that often while nobody waits [ms]", low=0)
 
 
 class Flow:
@@ -45,6 +46,8 @@ class Flow:
         self.ended = False
         self._subscriptions: list[Any] = []
         self._last: tuple[int, int, int] = (-1, -1, 0)
+        self._pending: Watermark | None = None
+        self._announced_ns = 0
         self._on_ready: list[Callable[[], None]] = []
         self._timer = node.create_timer(0.02, self._check_ready)
 
@@ -97,6 +100,7 @@ class Flow:
         self.ready = True
         self._timer.cancel()
         self.send(*self._last[:2])
+        self.flush()
         for callback in self._on_ready:
             callback()
 
@@ -109,14 +113,24 @@ class Flow:
         end_of_stream: bool = False,
         utc_ns: int = 0,
     ) -> None:
-        """Announce progress."""
+        """Announce progress, at the latest every ``flow_stride_ms`` or at `flush`."""
         count = self._last[2] if event_count is None else event_count
         self._last = (valid_through, consumed_through, count)
         msg = Watermark(node=self.name, ready=self.ready, end_of_stream=end_of_stream)
         msg.header.stamp = stamp_from_ns(utc_ns)
         msg.valid_through, msg.consumed_through = valid_through, consumed_through
         msg.event_count = count
-        self.publisher.publish(msg)
+        self._pending = msg
+        held_ns = utc_ns - self._announced_ns
+        if held_ns >= self.config.flow_stride_ms * 1_000_000 or end_of_stream or utc_ns == 0:
+            self._announced_ns = utc_ns
+            self.flush()
+
+    def flush(self) -> None:
+        """Announce what is held back: someone may be waiting for it."""
+        if self._pending is not None:
+            self.publisher.publish(self._pending)
+            self._pending = None
 
     def finish(self) -> None:
         """Announce the end after everything published has reached its readers."""

@@ -46,7 +46,7 @@ class Process:
 
     def spin(self) -> None:
         """Run callbacks until someone stops the process."""
-        while self.stopped is None and rclpy.ok():
+        while self.stopped is None:
             self.executor.spin_once(timeout_sec=0.5)
 
 

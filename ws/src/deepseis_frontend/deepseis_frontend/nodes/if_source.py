@@ -34,7 +34,7 @@ class SourceConfig:
     )
     start_s: float = setting(0.0, "skip so much at the start [s]", low=0)
     length_s: float = setting(0.0, "play so much; 0: all [s]", low=0)
-    window_blocks: int = setting(10, "credit window, at least D + 3 blocks [blocks]", low=3)
+    window_blocks: int = setting(32, "credit window, at least D + 3 blocks [blocks]", low=3)
     members: list[str] = setting([], "flow members that must acknowledge (lockstep) [-]")
     pace: float = setting(1.0, "realtime pace, times real time [-]", low=0.01, high=100.0)
 

@@ -11,8 +11,7 @@ from deepseis_core.config import setting
 from deepseis_core.errors import InputError
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.rinex_nav import read_rinex_nav
-from deepseis_core.ros import diagnostics, qos
-from deepseis_core.ros.convert import to_msg
+from deepseis_core.ros import codecs, diagnostics, qos
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
@@ -32,7 +31,7 @@ class NodeConfig:
     )
     nav_file: str = setting("", "RINEX navigation file [path]")
     start_utc: str = setting(
-        "", "UTC of sample 0, ISO 8601, within 1 ms; empty: as the truth file says [-]"
+        "", "UTC of sample 0, ISO 8601, to some seconds; empty: as the truth file says [-]"
     )
     satellites: list[str] = setting([], "satellites to aid; empty: all [-]")
 
@@ -87,7 +86,7 @@ class TruthAidingNode(Node):
         """Publish all spans that are due."""
         while (aiding := self.aider.advance()) is not None:
             utc_ns = self.clock.utc_ns(aiding.knot_sample_index)
-            self.publisher.publish(to_msg(aiding, DopplerAiding, utc_ns))
+            self.publisher.publish(codecs.DOPPLER_AIDING.encode(aiding, utc_ns))
             self.spans += 1
             through = self.aider.valid_through
             self.flow.send(through, through, utc_ns=self.clock.utc_ns(through))

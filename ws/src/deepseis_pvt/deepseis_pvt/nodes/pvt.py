@@ -72,7 +72,7 @@ class PvtNode(Node):
             self.products = RinexProducts(config.output_dir, station)
         self.load_navigation()
         self.clock: SampleClock | None = None
-        self.second, self.newest, self.progressed = -1, -1, time.monotonic()
+        self.second, self.progressed = -1, time.monotonic()
         publish_on = self.flow.publish_on
         self.observations = publish_on("gnss/observations", Observations, qos.STREAM)
         self.pvt = publish_on("gnss/pvt", Pvt, qos.STREAM)
@@ -101,7 +101,6 @@ class PvtNode(Node):
         if self.clock is None:
             rate = self.config.sample_rate_hz
             self.clock = SampleClock.from_sample(epochs.block_sample_index, utc_ns, rate)
-        self.newest = max(self.newest, epochs.block_sample_index)
         self.engine.push_epochs(epochs)
         self.work()
 
@@ -117,13 +116,13 @@ class PvtNode(Node):
         others, trackers = self.flow.others, self.config.trackers
         ended = all(n in others and others[n].end_of_stream for n in trackers)
         if ended and trackers and not self.flow.ended:
-            self.work()
+            self.work(self.engine.newest_sample())
             self.flow.finish()
 
     def on_deadline(self) -> None:
         """Realtime: wait no longer than the deadline for a tracker."""
         if time.monotonic() - self.progressed > self.config.pvt_deadline_ms * 1e-3:
-            self.work(self.newest)
+            self.work(self.engine.newest_sample())
 
     def work(self, force_through: int | None = None) -> None:
         """Work through all epochs that the watermarks allow and publish."""
@@ -135,7 +134,7 @@ class PvtNode(Node):
             return
         self.progressed = time.monotonic()
         utc_ns = self.clock.utc_ns(worked)
-        self.flow.send(worked, worked, utc_ns=utc_ns)
+        self.flow.send(self.engine.valid_through, worked, utc_ns=utc_ns)
         second = int(worked / self.clock.sample_rate_hz)
         if second > self.second:
             self.second = second

@@ -42,7 +42,7 @@ class AcquisitionNode(Node):
         self.publisher = self.flow.publish_on("acquisition/result", AcquisitionResult, qos.LATCHED)
         self.diagnostics = self.flow.publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
         self.clock: SampleClock | None = None
-        self.second = -1
+        self.second, self.announced = -1, -1
         self.flow.follow(peers.trackers, self.on_tracker)
         self.flow.follow(["if_source"], lambda _msg: self.work())
         subscribe(self, codecs.IF_BLOCK, "if/samples", self.on_if_block, qos.STREAM)
@@ -82,6 +82,9 @@ class AcquisitionNode(Node):
                 event_count=engine.result_count,
                 utc_ns=utc_ns,
             )
+            if engine.valid_through > self.announced:
+                self.announced = engine.valid_through
+                self.flow.flush()
             second = int(engine.consumed_through / clock.sample_rate_hz)
             if second > self.second:
                 self.second = second

@@ -135,6 +135,8 @@ class TrackerHost:
             force = False
             self.arrived = time.monotonic()
             self.publish(output)
+        if self.engine.blocks:
+            self.flow.flush()
         source = self.flow.others.get("if_source")
         ended = source is not None and source.end_of_stream and not self.flow.ended
         if ended and self.engine.done_through >= source.valid_through:
