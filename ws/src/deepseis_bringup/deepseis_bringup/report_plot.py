@@ -82,12 +82,7 @@ def envelope(
     t, y : ndarray, shape (n,)
         Times in ascending order, and values.
     points : int
-        Returned at most, but for the breaks.
-
-    Returns
-    -------
-    t, y : ndarray
-        With a NaN where the record has a hole.
+        Returned at most; to these a NaN is added for every hole of the record.
 
     Examples
     --------

@@ -127,7 +127,7 @@ class RunData:
     @property
     def duration(self) -> float:
         """Length of the run [s]."""
-        return (self.end_sample - self.start_sample) / self.sample_rate_hz
+        return float(self.seconds(self.end_sample))
 
     def seconds(self, sample_index: Any) -> NDArray[np.float64]:
         """Time since the first sample of the run [s]."""

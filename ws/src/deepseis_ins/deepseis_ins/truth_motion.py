@@ -169,12 +169,14 @@ def _read(path: Path) -> dict[str, NDArray[np.generic]]:
     """Return the arrays of an ``.npz``."""
     if path.is_dir():
         raise InputError(path, "is a directory", "name a truth file (.npz)")
+    wanted = {name for pair in LAYOUTS for name in pair} | {"start_week", "start_tow_ns"}
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if not hasattr(archive, "files"):
-                raise InputError(path, "is a single array", "name a truth file (.npz)")
-            wanted = {name for pair in LAYOUTS for name in pair} | {"start_week", "start_tow_ns"}
-            return {name: archive[name] for name in archive.files if name in wanted}
+        with path.open("rb") as file:
+            if not zipfile.is_zipfile(file):
+                raise InputError(path, "is not an .npz, or cut short", "name a truth file")
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                return {name: archive[name] for name in archive.files if name in wanted}
     except OSError as error:
         raise InputError(path, error.strerror or str(error)) from None
     except (ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:

@@ -2,8 +2,8 @@
 
 The generated classes cost more than the arithmetic at 50 Hz x 12 satellites, and rmw leaves the
 padding between fields uninitialised, so that equal messages differ in their bytes. Here the
-padding is zero. Classic CDR as rmw_fastrtps writes it: little endian, alignment counted behind
-the 4-byte header; elements of a sequence are aligned even when there are none.
+padding is zero. Classic CDR as Fast CDR writes it: little endian, alignment counted behind the
+4-byte header; an empty sequence is its count alone.
 """
 
 from __future__ import annotations
@@ -94,8 +94,9 @@ def _numbers(code: str, fixed: int | None) -> tuple[Put, Get]:
             out += _ZEROS[-len(out) % 4] + _COUNT.pack(array.size)
         elif array.size != fixed:
             raise ValueError(f"{array.size} numbers where there should be {fixed}")
-        out += _ZEROS[(4 - len(out)) % width]
-        out += array.tobytes()
+        if array.size:
+            out += _ZEROS[(4 - len(out)) % width]
+            out += array.tobytes()
 
     def get(data: bytes, at: int) -> tuple[Any, int]:
         count = fixed
@@ -103,7 +104,7 @@ def _numbers(code: str, fixed: int | None) -> tuple[Put, Get]:
             at += -at % 4
             (count,) = _COUNT.unpack_from(data, at)
             at += 4
-        at += (4 - at) % width
+        at += (4 - at) % width if count else 0
         if count * width > len(data) - at:
             raise CdrError(f"sequence of {count} numbers")
         end = at + count * width
