@@ -239,6 +239,15 @@ def test_a_run_without_position_says_so(make_run):
     assert "Horizontal position" not in html
 
 
+def test_a_run_that_tracked_nothing_has_a_page_too(tmp_path):
+    with BagWriter(tmp_path / "bag", definitions=Definitions(TEXTS)) as bag:
+        put(bag, "/gnss/pvt", "deepseis_msgs/msg/Pvt", START_NS, satellites=["G01"])
+    summary = report.write_report(tmp_path, title="nothing")
+    assert summary["satellites_tracked"] == 0
+    assert summary["positions"] == 0
+    assert "0 satellites tracked" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
 def test_a_bag_cut_short_is_reported_as_far_as_it_goes(make_run):
     folder = make_run()
     bag = next((folder / "bag").glob("*.mcap"))

@@ -67,14 +67,14 @@ def _epoch_topics(satellites: tuple[str, ...]) -> tuple[str, ...]:
 
 def _trackers(config: GraphConfig) -> list[NodeSpec]:
     """Return the tracker processes: one container, or one for each satellite."""
-    inputs = ("if/samples", "acquisition/result")
-    inputs += ("aiding/doppler",) if config.aiding else ()
+    aiding = ("aiding/doppler",) if config.aiding else ()
+    inputs = ("if/samples", "acquisition/result", *aiding)
     common = {"aiding": bool(config.aiding), "wait_acquisition": True}
 
     def spec(name: str, executable: str, node_name: str, satellites: tuple[str, ...]) -> NodeSpec:
         outputs = (*_epoch_topics(satellites), "gnss/ephemeris", "acquisition/request")
-        own = {"satellite": satellites[0]} if executable == "tracker" else {}
-        own["satellites"] = list(config.satellites)  # type: ignore[assignment]
+        own: dict[str, Any] = {"satellites": list(config.satellites)}
+        own |= {"satellite": satellites[0]} if executable == "tracker" else {}
         outputs = (*outputs, "/diagnostics")
         return NodeSpec(
             name,

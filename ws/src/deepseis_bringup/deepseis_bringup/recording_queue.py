@@ -6,11 +6,11 @@ import struct
 
 
 def stamp_of_cdr(cdr: bytes) -> int:
-    """UTC [ns] of the header every message of ours begins with.
+    r"""UTC [ns] of the header every message of ours begins with.
 
     Examples
     --------
-    >>> stamp_of_cdr(b"\\0\\1\\0\\0" + struct.pack("<iI", 2, 5))
+    >>> stamp_of_cdr(b"\0\1\0\0" + struct.pack("<iI", 2, 5))
     2000000005
     """
     sec, nanosec = struct.unpack_from("<iI" if cdr[1] & 1 else ">iI", cdr, 4)

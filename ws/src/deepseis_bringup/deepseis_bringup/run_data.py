@@ -205,10 +205,16 @@ class _Reader:
         if take is None:
             return None
         self.register(channel)
-        name, deserialize, chosen = channel.type_name, self.store.deserialize_cdr, take
+        definition, chosen = self.store.get_msgdef(channel.type_name), take
+        decode, kind = definition.deserialize_cdr_le, definition.cls
 
         def handle(message: Message) -> None:
-            chosen(deserialize(bytes(message.data), name))
+            try:  # rmw may leave more bytes behind a message than padding: not an error
+                decoded, _ = decode(bytes(message.data[4:]), 0, kind, self.store)
+            except (struct.error, ValueError):
+                self.run.is_whole = False
+                return
+            chosen(decoded)
 
         return handle
 

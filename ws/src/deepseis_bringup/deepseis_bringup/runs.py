@@ -188,7 +188,7 @@ def _follow(
 ) -> float:
     """Wait for the end, showing how far the source is; returns the graph's wall time [s]."""
     if not progress:
-        supervisor.wait(poll=lambda: watch.poll() and None)
+        supervisor.wait(poll=watch.poll)
         return watch.elapsed()
     with progress_bar("running the graph", duration) as show:
 

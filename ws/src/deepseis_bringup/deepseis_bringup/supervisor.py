@@ -28,7 +28,7 @@ _LIBC = ctypes.CDLL(None)
 
 
 def _die_with_parent() -> None:
-    """Runs in the child: no node outlives its supervisor, however that ends."""
+    """Let no node outlive its supervisor, however that ends; runs in the child."""
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
@@ -119,7 +119,7 @@ class Supervisor:
         self,
         until: str = "if_source",
         *,
-        poll: Callable[[], None] = lambda: None,
+        poll: Callable[[], object] = lambda: None,
         timeout: float | None = None,
     ) -> None:
         """Wait for the process ``until`` to end well.
@@ -147,7 +147,7 @@ class Supervisor:
         name = culprits[0]
         status = self.processes[name].poll()
         how = f"ended with status {status}" if (status or 0) > 0 else f"was killed ({status})"
-        raise NodeFailure(name, how, self.last_line(name), self.log_of(name))
+        raise NodeFailureError(name, how, self.last_line(name), self.log_of(name))
 
     def stop(self) -> None:
         """End everything that still runs, the recorder last; kill what does not end."""
@@ -171,7 +171,7 @@ class Supervisor:
         return {name: process.poll() for name, process in self.processes.items()}
 
 
-class NodeFailure(InputError):
+class NodeFailureError(InputError):
     """A node of the graph failed."""
 
     def __init__(self, name: str, how: str, line: str, log: Path) -> None:

@@ -14,12 +14,35 @@ from deepseis_frontend.if_stream import IfSource
 class Selection(Protocol):
     """What to open; see ``SourceConfig`` of the node."""
 
-    file: str
-    format: str
-    sample_rate_hz: float
-    intermediate_frequency_hz: float
-    start_s: float
-    length_s: float
+    @property
+    def file(self) -> str:
+        """Raw recording, or the folder or file of a bag."""
+        ...
+
+    @property
+    def format(self) -> str:
+        """Packing, or empty."""
+        ...
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Sampling rate [Hz], or 0."""
+        ...
+
+    @property
+    def intermediate_frequency_hz(self) -> float:
+        """Nominal intermediate frequency [Hz]."""
+        ...
+
+    @property
+    def start_s(self) -> float:
+        """Skip so much [s]."""
+        ...
+
+    @property
+    def length_s(self) -> float:
+        """Play so much [s]; 0: all."""
+        ...
 
 
 def open_source(selection: Selection) -> IfSource:

@@ -84,7 +84,7 @@ class TruthAider:
         return self.next_sample - 1
 
     def source_valid(self, through: int) -> None:
-        """The source has announced samples up to ``through``."""
+        """Note that the source has announced samples up to ``through``."""
         self.source_through = max(self.source_through, through)
 
     def pvt_valid(self, through: int) -> None:

@@ -64,12 +64,12 @@ class AcquisitionEngine:
         self.blocks.append(block)
 
     def push_request(self, satellite: str, sample_index: int, tracker: str) -> None:
-        """A channel became idle at a sample."""
+        """Take the request of a channel that became idle at a sample."""
         self.requests.append((satellite, sample_index))
         self.request_count[tracker] = self.request_count.get(tracker, 0) + 1
 
     def tracker_valid(self, tracker: str, through: int, request_count: int) -> None:
-        """A tracker process has made all its requests up to ``through``."""
+        """Note that a tracker process has made all its requests up to ``through``."""
         self.trackers[tracker] = (through, request_count)
 
     def _trackers_ready(self, slot_start: int) -> bool:

@@ -1,4 +1,4 @@
-"""The plain data a channel's kernel works on: state, settings in numbers, one row per integration."""
+"""The plain data of a channel's kernel: state, settings in numbers, one row per integration."""
 
 from __future__ import annotations
 

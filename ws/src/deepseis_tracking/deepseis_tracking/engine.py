@@ -124,7 +124,7 @@ class TrackingEngine:
         self.aiding_through = max(self.aiding_through, aiding.valid_through)
 
     def acquisition_valid(self, through: int, result_count: int) -> None:
-        """The acquisition has published all ``result_count`` results up to ``through``."""
+        """Note that all ``result_count`` results up to ``through`` have been published."""
         self.acquisition_through = max(self.acquisition_through, through)
         self.acquisition_count = max(self.acquisition_count, result_count)
 

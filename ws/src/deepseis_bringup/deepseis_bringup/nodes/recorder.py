@@ -83,9 +83,9 @@ class RecorderNode(Node):
             self.flow.send(msg.consumed_through, msg.consumed_through)
         others = self.flow.others
         names = self.config.members
-        if names and not self.flow.ended:
-            if all(n in others and others[n].end_of_stream for n in names):
-                self.flow.finish()
+        ended = all(n in others and others[n].end_of_stream for n in names)
+        if names and ended and not self.flow.ended:
+            self.flow.finish()
 
     def close(self) -> None:
         """Finish the bag."""

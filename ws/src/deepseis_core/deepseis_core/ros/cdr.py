@@ -70,8 +70,8 @@ def _octet(value: Any) -> bytes:
 
 def _number(code: str) -> tuple[Put, Get]:
     packer = struct.Struct("<" + code)
-    width, convert = packer.size, (float if code in "df" else bool if code == "?" else int)
-    convert = _octet if code == "c" else convert
+    convert: Callable[[Any], Any] = {"d": float, "f": float, "?": bool, "c": _octet}.get(code, int)
+    width = packer.size
 
     def put(out: bytearray, value: Any) -> None:
         # Alignment counts behind the header, whose length is a multiple of 4 but not of 8.

@@ -6,6 +6,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable
+from dataclasses import dataclass
 from types import FrameType
 from typing import Any
 
@@ -17,12 +18,12 @@ from rclpy.signals import SignalHandlerOptions
 from deepseis_core.errors import InputError
 
 
-class Stop(Exception):
-    """Raised by a node's callback to end its process: exit status and a last line."""
+@dataclass(frozen=True)
+class Stop:
+    """How a node ends its process: exit status and a last line."""
 
-    def __init__(self, status: int = 0, line: str = "") -> None:
-        self.status, self.line = status, line
-        super().__init__(line)
+    status: int = 0
+    line: str = ""
 
 
 class Process:

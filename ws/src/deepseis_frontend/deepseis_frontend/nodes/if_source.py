@@ -40,7 +40,7 @@ class SourceConfig:
 
 
 class IfSourceNode(Node):
-    """Out: if/samples, flow/if_source, /diagnostics. In: flow/<member>. Parameters: SourceConfig."""
+    """Out: if/samples, flow/if_source. In: flow/<member>. Parameters: SourceConfig."""
 
     def __init__(self, process: Process) -> None:
         super().__init__("if_source")

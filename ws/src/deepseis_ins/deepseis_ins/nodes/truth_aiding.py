@@ -37,7 +37,7 @@ class NodeConfig:
 
 
 class TruthAidingNode(Node):
-    """In: flow/if_source, flow/pvt. Out: aiding/doppler. Parameters: NodeConfig, TruthAiderConfig."""
+    """In: flow/if_source, flow/pvt. Out: aiding/doppler. Parameters: NodeConfig and aider's."""
 
     def __init__(self, process: Process) -> None:
         super().__init__("truth_aiding")
@@ -92,8 +92,9 @@ class TruthAidingNode(Node):
             self.flow.send(through, through, utc_ns=self.clock.utc_ns(through))
             self.report(aiding.satellites)
         source = self.flow.others.get("if_source")
-        ended = source is not None and source.end_of_stream and not self.flow.ended
-        if ended and self.aider.valid_through >= source.valid_through:
+        if source is None or not source.end_of_stream or self.flow.ended:
+            return
+        if self.aider.valid_through >= source.valid_through:
             self.flow.finish()
 
     def report(self, satellites: tuple[str, ...]) -> None:

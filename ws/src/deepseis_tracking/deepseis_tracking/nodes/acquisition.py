@@ -29,7 +29,7 @@ class PeersConfig:
 
 
 class AcquisitionNode(Node):
-    """In: if/samples, acquisition/request. Out: acquisition/result. Parameters: AcquisitionConfig."""
+    """In: if/samples, acquisition/request. Out: acquisition/result."""
 
     def __init__(self, process: Process) -> None:
         super().__init__("acquisition")
@@ -59,7 +59,7 @@ class AcquisitionNode(Node):
         self.work()
 
     def on_request(self, msg: AcquisitionRequest) -> None:
-        """A channel lost its signal."""
+        """Queue the request of a channel that lost its signal."""
         self.engine.push_request(msg.satellite, msg.sample_index, msg.header.frame_id)
         self.work()
 
@@ -93,8 +93,9 @@ class AcquisitionNode(Node):
                     diagnostics.encoded("acquisition", diagnostics.OK, text, engine.counters, utc_ns)
                 )
         source = self.flow.others.get("if_source")
-        ended = source is not None and source.end_of_stream and not self.flow.ended
-        if ended and engine.consumed_through >= source.valid_through:
+        if source is None or not source.end_of_stream or self.flow.ended:
+            return
+        if engine.consumed_through >= source.valid_through:
             self.flow.finish()
 
 

@@ -87,11 +87,13 @@ class TrackerHost:
         node = self.node
         made = [subscribe(node, codecs.IF_BLOCK, "if/samples", self.on_if_block, qos.STREAM)]
         if self.config.wait_acquisition:
-            codec, topic = codecs.ACQUISITION_RESULT, "acquisition/result"
-            made.append(subscribe(node, codec, topic, self.on_result, qos.LATCHED))
+            results = codecs.ACQUISITION_RESULT
+            made.append(
+                subscribe(node, results, "acquisition/result", self.on_result, qos.LATCHED)
+            )
         if self.config.aiding:
-            codec = codecs.DOPPLER_AIDING
-            made.append(subscribe(node, codec, "aiding/doppler", self.on_aiding, qos.STREAM))
+            aiding = codecs.DOPPLER_AIDING
+            made.append(subscribe(node, aiding, "aiding/doppler", self.on_aiding, qos.STREAM))
         return made
 
     def on_if_block(self, block: IfBlock, utc_ns: int) -> None:
@@ -138,8 +140,9 @@ class TrackerHost:
         if self.engine.blocks:
             self.flow.flush()
         source = self.flow.others.get("if_source")
-        ended = source is not None and source.end_of_stream and not self.flow.ended
-        if ended and self.engine.done_through >= source.valid_through:
+        if source is None or not source.end_of_stream or self.flow.ended:
+            return
+        if self.engine.done_through >= source.valid_through:
             self.flow.finish()
 
     def publish(self, output: BlockOutput) -> None:
