@@ -31,7 +31,7 @@ def _periods(i, q, rows, chips_per_sample, offset, count, periods, cosine, sine,
     code_phase, phase = 0.1, 0.0
     available = i.shape[0] // count
     for period in range(periods):
-        step = int(round(code_phase / chips_per_sample * steps))
+        step = round(code_phase / chips_per_sample * steps)
         for tap in range(3):
             tap_step = step + (1 - tap) * offset
             tap_rows[tap] = tap_step % steps

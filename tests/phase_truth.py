@@ -125,7 +125,7 @@ def collect(epochs: Iterable[TrackingEpochs]) -> dict[str, Track]:
 
 
 class PhaseErrors:
-    """NCO phase minus truth [cycles], shape (m, n), at the truth's epochs from ``low`` to ``high``.
+    """NCO phase minus truth [cycles], shape (m, n), at the truth's epochs in ``[low, high)``.
 
     ``raw`` has only the unknown start of each satellite removed, ``error`` also the mean over
     the satellites at every epoch: the part common to all.
@@ -176,13 +176,9 @@ class Station:
         given = {"format": "independent_sim", "sample_rate_hz": RATE}
         file = open_if_file(path, start=start, length=length, **given)
         slots = SlotConfig(satellites=list(self.satellites))
-        self.search = AcquisitionEngine(
-            self.satellites, AcquisitionConfig(), slots, RetryConfig()
-        )
+        self.search = AcquisitionEngine(self.satellites, AcquisitionConfig(), slots, RetryConfig())
         self.search.expect_trackers(["channels"])
-        self.channels = TrackingEngine(
-            self.satellites, self.loops, slots, wait_aiding=self.aided
-        )
+        self.channels = TrackingEngine(self.satellites, self.loops, slots, wait_aiding=self.aided)
         self.pvt = PvtEngine(PvtConfig(), RATE, self.satellites)
         aider = self.make_aider()
         for block in file.blocks():

@@ -1,6 +1,7 @@
 """The whole graph over DDS with aiding from the truth: same numbers as in one process."""
 
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -107,7 +108,7 @@ def test_aiding_covers_every_sample_once_and_in_order(run, truth):
     spans: list[Aiding] = list(recorded(run, "aiding/doppler", codecs.DOPPLER_AIDING))
     assert spans[0].valid_from == 0
     assert spans[-1].valid_through == LENGTH * RATE - 1
-    joints = [(a.valid_through + 1, b.valid_from) for a, b in zip(spans, spans[1:], strict=False)]
+    joints = [(a.valid_through + 1, b.valid_from) for a, b in pairwise(spans)]
     assert all(end == begin for end, begin in joints)
     assert all(set(truth.satellites) == set(span.satellites) for span in spans)
 

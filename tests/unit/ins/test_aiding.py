@@ -49,9 +49,7 @@ def test_integrated_doppler_is_the_independent_simulators_carrier_phase(shared_d
         t, phase, prn = z["t_s"], z["carrier_phase_cycles"], z["prn"]
     names = tuple(f"G{n:02d}" for n in prn)
     time_ = MOVING.start
-    chosen = select_ephemerides(
-        read_rinex_nav(folder / NAV).ephemerides, time_.week, time_.tow_ns
-    )
+    chosen = select_ephemerides(read_rinex_nav(folder / NAV).ephemerides, time_.week, time_.tow_ns)
     packed = pack([chosen[name] for name in names])
     trajectory = TruthMotion(folder / MOVING.truth).trajectory
     predictor = DopplerPredictor("truth", MOVING.start, RATE)
@@ -110,9 +108,7 @@ def test_neighbouring_spans_share_knots_and_any_cut_gives_the_same_numbers(rate_
         assert_array_equal(part.carrier_doppler_rate, whole.carrier_doppler_rate[:, columns])
 
 
-@pytest.mark.parametrize(
-    ("frequency", "tolerance_hz"), [(2.0, 1e-9), (10.0, 1e-7), (100.0, 1e-4)]
-)
+@pytest.mark.parametrize(("frequency", "tolerance_hz"), [(2.0, 1e-9), (10.0, 1e-7), (100.0, 1e-4)])
 def test_cubics_between_knots_leave_the_stated_error(frequency, tolerance_hz):
     grid = KnotGrid.of_span(0, BLOCK, RATE)
     predictor = DopplerPredictor("truth", START, RATE)

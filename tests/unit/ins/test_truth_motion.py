@@ -131,7 +131,7 @@ def test_what_is_no_npz_is_refused_by_name(tmp_path):
         with pytest.raises(InputError, match=name):
             TruthMotion(path)
     np.save(tmp_path / "one.npy", T)
-    with pytest.raises(InputError, match="is not an .npz"):
+    with pytest.raises(InputError, match=r"is not an \.npz"):
         TruthMotion(tmp_path / "one.npy")
     with pytest.raises(InputError, match="is a directory"):
         TruthMotion(tmp_path)

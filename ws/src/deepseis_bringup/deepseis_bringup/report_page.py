@@ -68,6 +68,8 @@ def page(measures: Measures, summary: Mapping[str, Any], title: str) -> str:
 
 def sections(measures: Measures, colours: Colours) -> list[tuple[str, list[Figure]]]:
     """All figures that the run has data for, in order."""
+    if not measures.run.duration > 0:
+        return []
     tracked = bool(measures.run.satellites)
     groups: list[tuple[str, list[Figure | None]]] = [
         (

@@ -117,7 +117,7 @@ class Measures:
                     at = np.zeros(1)
                     angle = (np.degrees([elevation]), np.degrees([azimuth]))
                     tracks[satellite] = SkyTrack(at, *angle)
-        return dict(sorted(tracks.items()))
+        return {s: tracks[s] for s in self.run.satellites if s in tracks}
 
     @cached_property
     def satellites(self) -> dict[str, dict[str, float]]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepseis_core.config import check, setting
-from deepseis_core.constants import CA_RATE_CPS, CA_LENGTH, L1_HZ
+from deepseis_core.constants import CA_LENGTH, CA_RATE_CPS, L1_HZ
 from deepseis_core.lnav_decoder import EphemerisEvent, Event, LnavDecoder, SubframeEvent
 from deepseis_core.types import (
     AcquisitionResult,
@@ -34,7 +34,9 @@ class TrackingConfig:
     """Settings of the tracking loops."""
 
     pll_order: int = setting(2, "conventional PLL order [-]", low=1, high=3)
-    pll_bandwidth_hz: float = setting(15.0, "conventional PLL noise bandwidth [Hz]", low=0.5, high=50)
+    pll_bandwidth_hz: float = setting(
+        15.0, "conventional PLL noise bandwidth [Hz]", low=0.5, high=50
+    )
     aided_order: int = setting(2, "aided PLL order [-]", low=1, high=3)
     aided_bandwidth_hz: float = setting(8.0, "aided PLL noise bandwidth [Hz]", low=0.3, high=50)
     loop_design: str = setting(
@@ -42,19 +44,29 @@ class TrackingConfig:
         "bandwidth is that of the discrete loop, or the analog constants as printed [-]",
         choices=("realised", "analog"),
     )
-    dll_bandwidth_hz: float = setting(1.0, "carrier-aided DLL noise bandwidth [Hz]", low=0.05, high=10)
+    dll_bandwidth_hz: float = setting(
+        1.0, "carrier-aided DLL noise bandwidth [Hz]", low=0.05, high=10
+    )
     spacing_chips: float = setting(0.5, "early to late [chips]", low=0.05, high=1.5)
     integration_ms: int = setting(20, "coherent integration after bit sync [ms]", low=1, high=20)
     pull_in_bandwidth_hz: float = setting(18.0, "PLL bandwidth at 1 ms [Hz]", low=5, high=60)
     pull_in_ms: int = setting(250, "FLL-assisted pull-in [ms]", low=20, high=2000)
-    bit_sync_limit_ms: int = setting(5000, "start over if bit edges are not clear by then [ms]", low=500)
+    bit_sync_limit_ms: int = setting(
+        5000, "start over if bit edges are not clear by then [ms]", low=500
+    )
     code_lock_dbhz: float = setting(27.0, "C/N0 that declares code lock [dB-Hz]", low=10, high=40)
     loss_dbhz: float = setting(23.0, "C/N0 that counts as lost [dB-Hz]", low=10, high=40)
     loss_s: float = setting(1.0, "give the signal up after so long below loss_dbhz [s]", low=0.1)
-    lock_threshold: float = setting(0.7, "cos(2 phase error) that declares phase lock [-]", low=0, high=1)
+    lock_threshold: float = setting(
+        0.7, "cos(2 phase error) that declares phase lock [-]", low=0, high=1
+    )
     unlock_threshold: float = setting(0.35, "... and that ends it [-]", low=0, high=1)
-    max_extrapolation_s: float = setting(0.05, "aiding is extrapolated so far, then dropped [s]", low=0)
-    feedback_delay_ms: int = setting(100, "delay D after which an ephemeris takes effect [ms]", low=0)
+    max_extrapolation_s: float = setting(
+        0.05, "aiding is extrapolated so far, then dropped [s]", low=0
+    )
+    feedback_delay_ms: int = setting(
+        100, "delay D after which an ephemeris takes effect [ms]", low=0
+    )
 
 
 class BasebandWindow:
@@ -73,7 +85,10 @@ class BasebandWindow:
         kept = min(self.history, self.end - self.start) if joins else 0
         size = kept + len(i)
         if self.i.dtype != i.dtype or len(self.i) < size:
-            grown = np.zeros(self.history + len(i), i.dtype), np.zeros(self.history + len(i), i.dtype)
+            grown = (
+                np.zeros(self.history + len(i), i.dtype),
+                np.zeros(self.history + len(i), i.dtype),
+            )
             old = self.end - self.start
             grown[0][:kept], grown[1][:kept] = self.i[old - kept : old], self.q[old - kept : old]
             self.i, self.q = grown

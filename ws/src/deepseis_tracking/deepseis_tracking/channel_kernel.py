@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from deepseis_core.constants import CA_RATE_CPS, CA_LENGTH, L1_HZ
+from deepseis_core.constants import CA_LENGTH, CA_RATE_CPS, L1_HZ
 from deepseis_tracking.correlator import CARRIER_GROUP, correlate_period
 from deepseis_tracking.discriminators import costas_atan, dll_envelope, frequency_error
 from deepseis_tracking.replica import MARGIN
@@ -431,12 +431,12 @@ def advance(
             mean_f = f0 + f1 * (tau + 0.5e-3) + f2 * (tau + 0.5e-3) ** 2
             code_rate = CA_RATE_CPS + mean_f * CARRIER_TO_CODE + state.code_slope
             chips = code_rate / config.sample_rate
-            count = int(math.ceil((CA_LENGTH - code_phase) / chips))
+            count = math.ceil((CA_LENGTH - code_phase) / chips)
             tau_end = (samples + count) / config.sample_rate
             phase = phase0 + tau * (f0 + tau * (0.5 * f1 + tau * f2 / 3.0))
             phase_end = phase0 + tau_end * (f0 + tau_end * (0.5 * f1 + tau_end * f2 / 3.0))
             wanted = code_phase + 0.5 * count * (chips - chips_per_sample)
-            step = int(round(wanted / chips_per_sample * phase_steps))
+            step = round(wanted / chips_per_sample * phase_steps)
             shift += wanted - step * chips_per_sample / phase_steps
             for tap in range(3):
                 tap_step = step + (1 - tap) * config.tap_offset
@@ -464,9 +464,7 @@ def advance(
         seconds = samples / config.sample_rate
         aid_end = f0 + seconds * (f1 + seconds * f2) - state.nco_hz if use_aid else 0.0
         row.sample_count = samples
-        row.code_rate_cps = (
-            code_phase + periods * CA_LENGTH - state.code_phase
-        ) / seconds
+        row.code_rate_cps = (code_phase + periods * CA_LENGTH - state.code_phase) / seconds
         state.code_phase = code_phase
         state.carrier_phase = phase0 + seconds * (f0 + seconds * (0.5 * f1 + seconds * f2 / 3.0))
         state.next_sample += samples

@@ -34,9 +34,13 @@ class SlotConfig:
     """What the channels and the acquisition must agree on."""
 
     satellites: list[str] = setting(ALL_SATELLITES, "satellites of the station, RINEX names [-]")
-    slot_ms: int = setting(500, "acquisition results take effect at multiples of this [ms]", low=20)
+    slot_ms: int = setting(
+        500, "acquisition results take effect at multiples of this [ms]", low=20
+    )
     latency_slots: int = setting(1, "slots from the search's start to the hand-over [-]", low=1)
-    reference_week: int = setting(2200, "full GPS week within ten years of the signal [weeks]", low=0)
+    reference_week: int = setting(
+        2200, "full GPS week within ten years of the signal [weeks]", low=0
+    )
 
 
 def check_satellites(names: list[str]) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from deepseis_core.ca_code import ca_code
-from deepseis_core.constants import CA_RATE_CPS, CA_LENGTH
+from deepseis_core.constants import CA_LENGTH, CA_RATE_CPS
 
 MARGIN = 64
 """Samples before and after one code period that every row holds."""
@@ -28,7 +28,7 @@ def _fill(chips: NDArray[np.int8], chips_per_sample: float, rows: NDArray[np.int
     for row in range(steps):
         for k in range(width):
             position = (k - MARGIN + row / steps) * chips_per_sample
-            rows[row, k] = chips[int(math.floor(position)) % length]
+            rows[row, k] = chips[math.floor(position) % length]
 
 
 class ReplicaBank:

@@ -90,7 +90,9 @@ class AcquisitionNode(Node):
                 self.second = second
                 text = f"{engine.counters['found']} found"
                 self.diagnostics.publish(
-                    diagnostics.encoded("acquisition", diagnostics.OK, text, engine.counters, utc_ns)
+                    diagnostics.encoded(
+                        "acquisition", diagnostics.OK, text, engine.counters, utc_ns
+                    )
                 )
         source = self.flow.others.get("if_source")
         if source is None or not source.end_of_stream or self.flow.ended:
