@@ -51,7 +51,7 @@ def run_graph(folder: Path, run: Path, satellites: tuple[str, ...], *, one_proce
         supervisor.own_domain() as environment,
         supervisor.running(supervisor.Supervisor(specs, run, environment=environment)) as nodes,
     ):
-        nodes.wait(timeout=55)
+        nodes.wait(timeout=110)
     assert set(nodes.statuses().values()) == {0}
 
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from phase_truth import MOVING, ONSET, PhaseErrors, Station, Truth, collect
+from phase_truth import MOVING, ONSET, RATE, PhaseErrors, Station, Truth, collect
 
-from deepseis_core.types import TrackingFlag
+from deepseis_core.types import TrackingFlag, TrackingMode
 from deepseis_ins.truth_aider import TruthAiderConfig
 from deepseis_tracking.channel import TrackingConfig
 
@@ -109,6 +109,9 @@ def test_wrong_aiding_is_dropped_and_said_so(folder, truth):
     for name in truth.satellites:
         assert tracks[name].unlocked_after(SETTLED) > 0
         assert tracks[name].flagged(TrackingFlag.AID_DIVERGED) > 0
+        # Pulling in again starts at the signal's frequency, so the signal is not lost.
+        later = [part.mode for part in tracks[name].parts if part.block_sample_index > 2 * RATE]
+        assert TrackingMode.IDLE not in later
 
 
 @pytest.mark.parametrize(
@@ -120,7 +123,7 @@ def test_the_conventional_loop_shows_the_motion(folder, truth, design, holds):
     tracks = tracked(folder, truth, loops=loops)
     discriminator = []
     for name in truth.satellites:
-        moving = tracks[name].column("sample_index") > MOTION[0] * 4e6
+        moving = tracks[name].column("sample_index") > MOTION[0] * RATE
         discriminator.append(np.std(tracks[name].column("carrier_error_cycles")[moving]) * 360)
         assert (tracks[name].unlocked_after(MOTION[0]) == 0) == holds
     # The thesis has 26 deg (table of sine-2hz, 15 Hz as its analog constants make it).

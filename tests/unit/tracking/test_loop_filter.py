@@ -48,7 +48,7 @@ def test_noise_through_the_running_filter_has_the_bandwidth_asked_for(order, ban
     tolerance = 4 * np.sqrt(2 / (count * min(1.0, 2 * bandwidth * period)))
     assert np.var(lag) / (0.01**2 * middle) == pytest.approx(1.0, abs=tolerance)
     assert gains.noise_bandwidth_hz == pytest.approx(bandwidth, rel=1e-6)
-    assert middle / (2 * period) == pytest.approx(bandwidth, rel=0.05)
+    assert middle / (2 * period) == pytest.approx(bandwidth, rel=0.08)
 
 
 def test_the_continuous_limit_is_the_printed_table():
@@ -60,7 +60,7 @@ def test_the_continuous_limit_is_the_printed_table():
 
 @pytest.mark.parametrize(("order", "bandwidth"), [(2, 8.0), (2, 15.0), (3, 8.0), (3, 15.0)])
 def test_a_frequency_step_leaves_no_phase_error(order, bandwidth):
-    lag = run_loop(design_loop(order, bandwidth, 0.02), 0.02, np.zeros(400), ramp_hz=1.5)
+    lag = run_loop(design_loop(order, bandwidth, 0.02), 0.02, np.zeros(2000), ramp_hz=1.5)
     assert abs(lag[-1]) < 1e-9
 
 

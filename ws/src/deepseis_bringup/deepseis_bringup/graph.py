@@ -25,6 +25,9 @@ TYPES: Mapping[str, tuple[str, str]] = {
 }
 """Type and quality of service of every topic that is recorded."""
 
+SHARED = frozenset({"acquisition/request", "gnss/ephemeris", "/diagnostics"})
+"""Topics on which several nodes publish: the recorder puts them in order."""
+
 
 @dataclass(frozen=True)
 class GraphConfig:
@@ -189,7 +192,10 @@ def _recorder(config: GraphConfig, others: list[NodeSpec]) -> NodeSpec:
     topics = sorted({topic for spec in others for topic in spec.publishes})
     if not config.record_if:
         topics.remove("if/samples")
-    entries = [" ".join((topic, *topic_type(topic))) for topic in topics]
+    entries = [
+        " ".join((topic, *topic_type(topic), *(["shared"] * (topic in SHARED))))
+        for topic in topics
+    ]
     return NodeSpec(
         "recorder",
         "deepseis_bringup",

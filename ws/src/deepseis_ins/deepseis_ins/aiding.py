@@ -37,7 +37,7 @@ class KnotGrid:
     Examples
     --------
     >>> grid = KnotGrid.of_span(80_000, 80_000, 4e6)
-    >>> grid.first, grid.step, grid.count, grid.samples[-1]
+    >>> grid.first, grid.step, grid.count, grid.samples[-1].item()
     (80000, 4000, 21, 160000)
     """
 

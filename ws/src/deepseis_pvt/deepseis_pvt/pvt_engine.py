@@ -8,7 +8,7 @@ watermarks of all satellites allow. Nothing depends on the order in which messag
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -163,15 +163,19 @@ class PvtEngine:
         list of (Observations, Pvt or None)
             In order; a ``Pvt`` at its own rate, with status NONE where there is no position.
         """
-        done = []
+        return [epoch for epoch in self.steps(force_through) if epoch is not None]
+
+    def steps(
+        self, force_through: int | None = None
+    ) -> Iterator[tuple[Observations, Pvt | None] | None]:
+        """Work as `advance` does, one step at a time; None is an attempt at the first fix."""
         while self.clock is None and self._try_first_fix(force_through):
-            pass
+            yield None
         while self.clock is not None:
             epoch = self._next_epoch(self.clock, force_through)
             if epoch is None:
                 break
-            done.append(epoch)
-        return done
+            yield epoch
 
     def _may_work(self, sample_index: int, force_through: int | None) -> bool:
         known = sample_index <= self.store.ephemerides_through()

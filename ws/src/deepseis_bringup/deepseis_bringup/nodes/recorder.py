@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from rclpy.node import Node
 
 from deepseis_bringup.mcap_recording import BagWriter
-from deepseis_bringup.recording_queue import if_block_end, stamp_of_cdr
+from deepseis_bringup.recording_queue import StampOrder, if_block_end, stamp_of_cdr
 from deepseis_bringup.ros_definitions import TopicQos
 from deepseis_core.config import setting
 from deepseis_core.errors import InputError
 from deepseis_core.ros import qos
 from deepseis_core.ros.cdr import message_class
+from deepseis_core.ros.convert import ns_from_stamp
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
@@ -26,7 +28,7 @@ class RecorderConfig:
     """What to record, and where."""
 
     directory: str = setting("", "folder of the bag, made new [path]")
-    topics: list[str] = setting([], "entries: topic type qos [-]")
+    topics: list[str] = setting([], "entries: topic type qos, and shared if several publish [-]")
     members: list[str] = setting([], "flow members whose end is the end of the recording [-]")
     records: str = setting("", "metadata records of the bag: JSON object of objects [-]")
     compression: str = setting("zstd", "of the bag's chunks [-]", choices=("zstd", "none"))
@@ -49,23 +51,30 @@ class RecorderNode(Node):
         )
         self.records_if = False
         self.last_if = -1
+        self.types: dict[str, str] = {}
+        self.order = StampOrder([*self.config.members, "if_source"])
         for entry in self.config.topics:
-            topic, type_name, profile = entry.split()
+            topic, type_name, profile, *shared = entry.split()
             self.records_if |= topic == "if/samples"
-            self.record(topic, type_name, profile)
+            self.record(topic, type_name, profile, shared=bool(shared and self.config.members))
         self.flow.follow(self.config.members, self.on_member)
+        self.flow.follow(["if_source"], self.put_in_order)
 
-    def record(self, topic: str, type_name: str, profile: str) -> None:
-        """Subscribe to a topic's bytes."""
+    def record(self, topic: str, type_name: str, profile: str, *, shared: bool) -> None:
+        """Subscribe to a topic's bytes; those of a shared one are put in order first."""
         name = self.resolve_topic_name(topic)
         chosen = qos.BY_NAME[profile]
         durability = "transient_local" if profile == "latched" else "volatile"
         offered = TopicQos(durability=durability, depth=chosen.depth)
         self.writer.add_topic(name, type_name, offered)
+        self.types[name] = type_name
         is_if = topic == "if/samples"
 
         def on_bytes(cdr: bytes, _info: Any = None) -> None:
             stamp_ns = stamp_of_cdr(cdr)
+            if shared:
+                self.order.push(name, stamp_ns, cdr)
+                return
             self.writer.write(name, type_name, cdr, stamp_ns, stamp_ns)
             if is_if:
                 self.acknowledge_if(cdr, stamp_ns)
@@ -79,6 +88,7 @@ class RecorderNode(Node):
 
     def on_member(self, msg: Watermark) -> None:
         """Acknowledge without IF; end when everybody has."""
+        self.put_in_order(msg)
         if not self.records_if and msg.node == self.config.pace_member:
             self.flow.send(msg.consumed_through, msg.consumed_through)
         others = self.flow.others
@@ -87,8 +97,19 @@ class RecorderNode(Node):
         if names and ended and not self.flow.ended:
             self.flow.finish()
 
+    def put_in_order(self, msg: Watermark) -> None:
+        """Take a watermark; write the messages of shared topics that nothing can precede."""
+        self.order.heard(msg.node, ns_from_stamp(msg.header.stamp), ended=msg.end_of_stream)
+        self.write(self.order.due())
+
+    def write(self, messages: Iterable[tuple[str, int, bytes]]) -> None:
+        """Write messages: topic, stamp, bytes."""
+        for name, stamp_ns, cdr in messages:
+            self.writer.write(name, self.types[name], cdr, stamp_ns, stamp_ns)
+
     def close(self) -> None:
         """Finish the bag."""
+        self.write(self.order.due(everything=True))
         self.writer.close()
 
 

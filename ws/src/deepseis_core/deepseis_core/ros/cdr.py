@@ -68,10 +68,17 @@ def _octet(value: Any) -> bytes:
     return bytes(value) if isinstance(value, (bytes, bytearray)) else bytes([value])
 
 
+_CONVERSIONS: dict[str, Callable[[Any], Any]] = {
+    "d": float,
+    "f": float,
+    "?": bool,
+    "c": _octet,
+}
+
+
 def _number(code: str) -> tuple[Put, Get]:
     packer = struct.Struct("<" + code)
-    convert: Callable[[Any], Any] = {"d": float, "f": float, "?": bool, "c": _octet}.get(code, int)
-    width = packer.size
+    width, convert = packer.size, _CONVERSIONS.get(code, int)
 
     def put(out: bytearray, value: Any) -> None:
         # Alignment counts behind the header, whose length is a multiple of 4 but not of 8.

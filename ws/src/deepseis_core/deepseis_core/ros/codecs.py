@@ -9,6 +9,7 @@ from rclpy.node import Node
 
 from deepseis_core import types
 from deepseis_core.ros.cdr import Codec
+from deepseis_core.ros.convert import stamp_from_ns
 from deepseis_msgs import msg
 
 IF_BLOCK = Codec(types.IfBlock, msg.IfBlock)
@@ -18,6 +19,13 @@ EPHEMERIS = Codec(types.Ephemeris, msg.Ephemeris)
 OBSERVATIONS = Codec(types.Observations, msg.Observations)
 PVT = Codec(types.Pvt, msg.Pvt)
 DOPPLER_AIDING = Codec(types.Aiding, msg.DopplerAiding)
+
+
+def acquisition_request(satellite: str, sample_index: int, utc_ns: int) -> msg.AcquisitionRequest:
+    """Return the request of a channel that became idle."""
+    request = msg.AcquisitionRequest(satellite=satellite, sample_index=sample_index)
+    request.header.stamp = stamp_from_ns(utc_ns)
+    return request
 
 
 def subscribe(

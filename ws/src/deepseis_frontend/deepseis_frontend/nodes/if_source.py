@@ -104,11 +104,11 @@ class IfSourceNode(Node):
         self.window.send(block.sample_index, self.last_index)
         self.publisher.publish(codecs.IF_BLOCK.encode(block, utc_ns))
         self.sent += 1
-        self.flow.send(self.last_index, self.last_index, utc_ns=utc_ns)
         second = int(self.last_index / block.sample_rate_hz)
         if second > self.reported_s:
             self.reported_s = second
             self.report(utc_ns)
+        self.flow.send(self.last_index, self.last_index, utc_ns=utc_ns)
 
     def report(self, utc_ns: int) -> None:
         """Publish the counters."""

@@ -125,20 +125,17 @@ class PvtNode(Node):
             self.work(self.engine.newest_sample())
 
     def work(self, force_through: int | None = None) -> None:
-        """Work through all epochs that the watermarks allow and publish."""
+        """Work through all epochs that the watermarks allow and publish, the watermark last."""
         before = self.engine.worked_through
-        for observations, pvt in self.engine.advance(force_through):
-            self.publish(observations, pvt)
+        for epoch in self.engine.steps(force_through):
+            if epoch is not None:
+                self.publish(*epoch)
+            self.report_each_second()
         worked = self.engine.worked_through
         if worked == before or self.clock is None:
             return
         self.progressed = time.monotonic()
-        utc_ns = self.clock.utc_ns(worked)
-        self.flow.send(self.engine.valid_through, worked, utc_ns=utc_ns)
-        second = int(worked / self.clock.sample_rate_hz)
-        if second > self.second:
-            self.second = second
-            self.report(utc_ns)
+        self.flow.send(self.engine.valid_through, worked, utc_ns=self.clock.utc_ns(worked))
 
     def publish(self, observations: ObservationsValue, pvt: PvtValue | None) -> None:
         """Publish one epoch."""
@@ -149,6 +146,13 @@ class PvtNode(Node):
             self.fix.publish(encode_message(fix_from_pvt(pvt, utc_ns)))
         if self.products is not None:
             self.products.write(observations, pvt)
+
+    def report_each_second(self) -> None:
+        """Publish the counters at the first step of every second of samples."""
+        worked, clock = self.engine.worked_through, self.clock
+        if clock is not None and worked >= (self.second + 1) * clock.sample_rate_hz:
+            self.second = int(worked / clock.sample_rate_hz)
+            self.report(clock.utc_ns(worked))
 
     def report(self, utc_ns: int) -> None:
         """Publish the counters."""

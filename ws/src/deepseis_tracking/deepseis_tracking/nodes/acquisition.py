@@ -60,8 +60,13 @@ class AcquisitionNode(Node):
 
     def on_request(self, msg: AcquisitionRequest) -> None:
         """Queue the request of a channel that lost its signal."""
-        self.engine.push_request(msg.satellite, msg.sample_index, msg.header.frame_id)
+        self.engine.push_request(msg.satellite, msg.sample_index, self.tracker_of(msg.satellite))
         self.work()
+
+    def tracker_of(self, satellite: str) -> str:
+        """Name the flow member that runs a satellite's channel: its own process, or the host."""
+        own = f"trackers_{satellite.lower()}"
+        return own if own in self.engine.trackers else next(iter(self.engine.trackers), "")
 
     def on_tracker(self, msg: Watermark) -> None:
         """Take a tracker process' watermark."""
@@ -76,6 +81,10 @@ class AcquisitionNode(Node):
                 stamp = clock.utc_ns(result.sample_index)
                 self.publisher.publish(codecs.ACQUISITION_RESULT.encode(result, stamp))
             utc_ns = clock.utc_ns(engine.consumed_through)
+            second = int(engine.consumed_through / clock.sample_rate_hz)
+            if second > self.second:
+                self.second = second
+                self.report(utc_ns)
             self.flow.send(
                 engine.valid_through,
                 engine.consumed_through,
@@ -85,20 +94,19 @@ class AcquisitionNode(Node):
             if engine.valid_through > self.announced:
                 self.announced = engine.valid_through
                 self.flow.flush()
-            second = int(engine.consumed_through / clock.sample_rate_hz)
-            if second > self.second:
-                self.second = second
-                text = f"{engine.counters['found']} found"
-                self.diagnostics.publish(
-                    diagnostics.encoded(
-                        "acquisition", diagnostics.OK, text, engine.counters, utc_ns
-                    )
-                )
         source = self.flow.others.get("if_source")
         if source is None or not source.end_of_stream or self.flow.ended:
             return
         if engine.consumed_through >= source.valid_through:
             self.flow.finish()
+
+    def report(self, utc_ns: int) -> None:
+        """Publish the counters."""
+        counters = self.engine.counters
+        text = f"{counters['found']} found"
+        self.diagnostics.publish(
+            diagnostics.encoded("acquisition", diagnostics.OK, text, counters, utc_ns)
+        )
 
 
 def main() -> None:

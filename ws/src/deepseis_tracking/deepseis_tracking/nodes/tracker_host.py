@@ -14,7 +14,6 @@ from deepseis_core.errors import InputError
 from deepseis_core.ros import codecs, diagnostics, qos
 from deepseis_core.ros.cdr import encode_message
 from deepseis_core.ros.codecs import subscribe
-from deepseis_core.ros.convert import stamp_from_ns
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process
 from deepseis_core.ros.parameters import declare, reject_unknown
@@ -156,19 +155,18 @@ class TrackerHost:
                 codecs.EPHEMERIS.encode(ephemeris, stamp)
             )
         for satellite, sample_index in output.requests:
-            request = AcquisitionRequest(satellite=satellite, sample_index=sample_index)
-            request.header.stamp = stamp_from_ns(utc_ns)
-            request.header.frame_id = self.name
+            stamp = clock.utc_ns(sample_index)
+            request = codecs.acquisition_request(satellite, sample_index, stamp)
             self.satellites[satellite].request.publish(encode_message(request))
         for epochs in output.epochs:
             data = codecs.TRACKING_EPOCHS.encode(epochs, utc_ns)
             self.satellites[epochs.satellite].epochs.publish(data)
         last = block.sample_index + block.sample_count - 1
-        self.flow.send(last, last, event_count=self.engine.request_count, utc_ns=utc_ns)
         second = int(last / block.sample_rate_hz)
         if second > self.second:
             self.second = second
             self.report(utc_ns)
+        self.flow.send(last, last, event_count=self.engine.request_count, utc_ns=utc_ns)
 
     def report(self, utc_ns: int) -> None:
         """Publish the counters."""

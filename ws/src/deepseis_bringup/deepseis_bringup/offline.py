@@ -1,0 +1,202 @@
+"""The same chain in one process, without nodes: for tests, notebooks and theory.
+
+It takes the graph's own description (`deepseis_bringup.graph.GraphConfig`) and gives the values
+that the graph publishes, in order of validity. Encoded, they are the graph's bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar
+
+from deepseis_bringup.graph import GraphConfig
+from deepseis_core.config import check
+from deepseis_core.gps_time import GpsTime
+from deepseis_core.rinex_nav import read_rinex_nav
+from deepseis_core.sample_clock import SampleClock, utc_ns_from_iso
+from deepseis_core.types import Aiding, IfBlock, Observations, Pvt
+from deepseis_frontend.if_open import open_source
+from deepseis_pvt.observables import ObservablesConfig
+from deepseis_pvt.pvt_engine import PvtConfig, PvtEngine
+from deepseis_pvt.spp import SppConfig
+from deepseis_tracking.acquisition import AcquisitionConfig
+from deepseis_tracking.acquisition_engine import AcquisitionEngine, RetryConfig
+from deepseis_tracking.channel import TrackingConfig
+from deepseis_tracking.engine import BlockOutput, SlotConfig, TrackingEngine, check_satellites
+
+Config = TypeVar("Config")
+Aider = Callable[[IfBlock], Iterable[Aiding]]
+"""Gives the aiding that lets a block be worked through."""
+
+TRACKERS = "trackers"
+
+
+@dataclass(frozen=True)
+class Output:
+    """One value on its way: topic, value, UTC of validity as in the message's header [ns]."""
+
+    topic: str
+    value: Any
+    utc_ns: int
+
+
+@dataclass(frozen=True)
+class _Source:
+    """Settings of the source that open a recording."""
+
+    file: str = ""
+    format: str = ""
+    sample_rate_hz: float = 0.0
+    intermediate_frequency_hz: float = 0.0
+    start_utc: str = ""
+    start_s: float = 0.0
+    length_s: float = 0.0
+
+
+class OfflineChain:
+    """Source, acquisition, tracking and PVT of a graph's description.
+
+    Parameters
+    ----------
+    config : GraphConfig
+        As for the graph; files and processes in it do not matter.
+    aiding : callable, optional
+        Called with every block before it is tracked; returns the aiding that becomes due.
+
+    Attributes
+    ----------
+    source, acquisition, tracking, pvt
+        The parts, to be looked at.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be used.
+    """
+
+    def __init__(self, config: GraphConfig, aiding: Aider | None = None) -> None:
+        tracker = config.parameters.get("tracker", {})
+        searcher = config.parameters.get("acquisition", {})
+        chosen = _pick(_Source, config.source)
+        self.source, self.aiding = open_source(chosen), aiding
+        names = check_satellites(list(config.satellites))
+        start_ns = utc_ns_from_iso(chosen.start_utc) if chosen.start_utc else 0
+        start_ns = start_ns or self.source.start_utc_ns or 0
+        self.clock = SampleClock(start_ns, self.source.sample_rate_hz)
+        self.acquisition = AcquisitionEngine(
+            names,
+            _pick(AcquisitionConfig, searcher),
+            _pick(SlotConfig, searcher),
+            _pick(RetryConfig, searcher),
+        )
+        self.acquisition.expect_trackers([TRACKERS])
+        self.tracking = TrackingEngine(
+            names,
+            _pick(TrackingConfig, tracker),
+            _pick(SlotConfig, tracker),
+            wait_aiding=aiding is not None,
+        )
+        self.pvt = _pvt_engine(config, config.parameters.get("pvt", {}))
+
+    def run(self) -> Iterator[Output]:
+        """Work through the recording; yield what the graph would publish."""
+        for block in self.source.blocks():
+            utc_ns = self.clock.utc_ns(block.sample_index)
+            yield Output("if/samples", block, utc_ns)
+            self.acquisition.push_block(block)
+            self.tracking.push_block(block)
+            for aiding in self.aiding(block) if self.aiding is not None else ():
+                first = self.clock.utc_ns(aiding.knot_sample_index)
+                yield Output("aiding/doppler", aiding, first)
+                self.tracking.push_aiding(aiding)
+            yield from self._search()
+            output = self.tracking.advance()
+            assert output is not None, f"waits for {self.tracking.waiting_for()}"
+            yield from self._tracked(output, utc_ns)
+            yield from self._positions()
+        yield from self._positions(self.pvt.newest_sample())
+
+    def _search(self) -> Iterator[Output]:
+        engine = self.acquisition
+        while (results := engine.advance()) is not None:
+            for result in results:
+                utc_ns = self.clock.utc_ns(result.sample_index)
+                yield Output("acquisition/result", result, utc_ns)
+                self.tracking.push_result(result)
+        self.tracking.acquisition_valid(engine.valid_through, engine.result_count)
+
+    def _tracked(self, output: BlockOutput, utc_ns: int) -> Iterator[Output]:
+        for ephemeris in output.ephemerides:
+            stamp = self.clock.utc_ns(ephemeris.effective_sample_index)
+            yield Output("gnss/ephemeris", ephemeris, stamp)
+            self.pvt.push_ephemeris(ephemeris)
+        for satellite, sample_index in output.requests:
+            stamp = self.clock.utc_ns(sample_index)
+            yield Output("acquisition/request", (satellite, sample_index), stamp)
+            self.acquisition.push_request(satellite, sample_index, TRACKERS)
+        for epochs in output.epochs:
+            yield Output(f"tracking/{epochs.satellite}/epochs", epochs, utc_ns)
+            self.pvt.push_epochs(epochs)
+        block, engine = output.block, self.tracking
+        last = block.sample_index + block.sample_count - 1
+        self.acquisition.tracker_valid(TRACKERS, last, engine.request_count)
+
+    def _positions(self, force_through: int | None = None) -> Iterator[Output]:
+        for observations, pvt in self.pvt.advance(force_through):
+            yield from _solved(observations, pvt)
+
+
+def _solved(observations: Observations, pvt: Pvt | None) -> Iterator[Output]:
+    utc_ns = GpsTime(observations.week, observations.tow_ns).to_utc_ns()
+    yield Output("gnss/observations", observations, utc_ns)
+    if pvt is not None:
+        yield Output("gnss/pvt", pvt, utc_ns)
+        yield Output("gnss/fix", pvt, utc_ns)
+
+
+def _pvt_engine(config: GraphConfig, given: Any) -> PvtEngine:
+    engine = PvtEngine(
+        _pick(PvtConfig, given),
+        config.sample_rate_hz,
+        config.satellites,
+        observables=_pick(ObservablesConfig, given),
+        spp=_pick(SppConfig, given),
+    )
+    if given.get("nav_file"):
+        file = read_rinex_nav(given["nav_file"])
+        for ephemeris in file.ephemerides:
+            engine.push_ephemeris(ephemeris)
+        if file.iono_alpha:
+            engine.push_klobuchar(file.iono_alpha, file.iono_beta)
+    return engine
+
+
+def _pick(config_type: type[Config], given: Any) -> Config:
+    """Fill a settings dataclass with those of the given parameters that are its own."""
+    names = {item.name for item in fields(config_type)}  # type: ignore[arg-type]
+    config = config_type(**{name: value for name, value in given.items() if name in names})
+    check(config)
+    return config
+
+
+def encode(output: Output) -> bytes:
+    """Return the bytes that the graph publishes for an output."""
+    from deepseis_core.ros import codecs
+    from deepseis_core.ros.cdr import encode_message
+    from deepseis_core.ros.navsat import fix_from_pvt
+
+    topic, value, utc_ns = output.topic, output.value, output.utc_ns
+    if topic == "gnss/fix":
+        return encode_message(fix_from_pvt(value, utc_ns))
+    if topic == "acquisition/request":
+        return encode_message(codecs.acquisition_request(*value, utc_ns))
+    by_topic = {
+        "if/samples": codecs.IF_BLOCK,
+        "acquisition/result": codecs.ACQUISITION_RESULT,
+        "gnss/ephemeris": codecs.EPHEMERIS,
+        "gnss/observations": codecs.OBSERVATIONS,
+        "gnss/pvt": codecs.PVT,
+        "aiding/doppler": codecs.DOPPLER_AIDING,
+    }
+    return by_topic.get(topic, codecs.TRACKING_EPOCHS).encode(value, utc_ns)
