@@ -1,43 +1,13 @@
-"""Commands that run the graph: demo, station, replay, record, info, recover, sim."""
+"""Commands that run the graph on a recording: demo, replay, process."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-Out = Annotated[
-    Path | None, typer.Option("-o", "--output", help="Run folder; default runs/<UTC>.")
-]
-
-
-@contextmanager
-def one_line_errors() -> Iterator[None]:
-    """Turn bad input into one line on stderr and exit status 2."""
-    from deepseis_core.errors import InputError
-
-    try:
-        yield
-    except InputError as error:
-        typer.echo(f"deepseis: {error}", err=True)
-        raise typer.Exit(2) from None
-    except KeyboardInterrupt:
-        typer.echo("deepseis: interrupted", err=True)
-        raise typer.Exit(130) from None
-
-
-def _into_run_folder(output: Path | None, work: Callable[[Path], Any]) -> None:
-    """Do ``work`` into a new run folder; its path is the last line printed."""
-    with one_line_errors():
-        from deepseis_bringup import runs
-
-        folder = runs.new_run_folder(output)
-        with runs.half_written_is_removed(folder):
-            work(folder)
-        typer.echo(str(folder))
+from deepseis_bringup.cli_common import Bag, Out, bag_of, into_run_folder, say_figures
 
 
 def demo(
@@ -52,26 +22,13 @@ def demo(
         from deepseis_bringup import runs
 
         summary = runs.demo(folder, duration=duration, if_format=if_format, seed=seed)
-        _say(summary)
+        say_figures(summary)
 
-    _into_run_folder(output, work)
-
-
-def _say(summary: dict[str, Any]) -> None:
-    """Print the figures a person looks for first."""
-    for key in (
-        "satellites_tracked",
-        "time_to_first_fix_s",
-        "position_error_m",
-        "real_time_factor",
-        "lost_samples",
-    ):
-        if key in summary:
-            typer.echo(f"{key} = {summary[key]}")
+    into_run_folder(output, work)
 
 
 def replay(
-    bag: Annotated[Path, typer.Argument(help="A recorded run: its bag folder or MCAP file.")],
+    bag: Bag,
     output: Out = None,
     realtime: Annotated[
         bool, typer.Option("--realtime", help="At the pace of the clock, with deadlines.")
@@ -93,9 +50,9 @@ def replay(
             one_process=not separate,
             record_if=not without_if,
         )
-        _say(runs.replay(bag, folder, options))
+        say_figures(runs.replay(bag_of(bag), folder, options))
 
-    _into_run_folder(output, work)
+    into_run_folder(output, work)
 
 
 def process(
@@ -128,32 +85,12 @@ def process(
         )
         options = runs.RunOptions(record_if=False, parameters={"pvt": pvt})
         figures = runs.run_recording(selection, folder, options)
-        _say(write_report(folder, truth=None, title=f"DeepSeis {if_file.name}", extra=figures))
+        say_figures(write_report(folder, truth=None, title=f"DeepSeis {if_file.name}", extra=figures))
 
-    _into_run_folder(output, work)
-
-
-def info(
-    bag: Annotated[Path, typer.Argument(help="Bag folder or MCAP file.")],
-) -> None:
-    """Tell what a bag holds."""
-    with one_line_errors():
-        from deepseis_bringup import bag_info
-
-        typer.echo(bag_info.describe(bag_info.bag_info(bag)))
-
-
-def recover(
-    bag: Annotated[Path, typer.Argument(help="Bag folder or MCAP file that was cut short.")],
-) -> None:
-    """Make a bag that was cut short whole again."""
-    with one_line_errors():
-        from deepseis_bringup import bag_info
-
-        typer.echo(str(bag_info.recover_bag(bag)))
+    into_run_folder(output, work)
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the application."""
-    for command in (demo, replay, process, info, recover):
+    for command in (demo, replay, process):
         app.command()(command)

@@ -1,0 +1,62 @@
+"""What the commands share: one-line errors, run folders, options."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+Out = Annotated[
+    Path | None, typer.Option("-o", "--output", help="Run folder, made new; default runs/<UTC>.")
+]
+Bag = Annotated[Path, typer.Argument(help="A bag: its folder, the run's folder, or an MCAP file.")]
+
+FIGURES = (
+    "satellites_tracked",
+    "time_to_first_fix_s",
+    "position_error_m",
+    "real_time_factor",
+    "lost_samples",
+)
+
+
+@contextmanager
+def one_line_errors() -> Iterator[None]:
+    """Turn bad input into one line on stderr and exit status 2."""
+    from deepseis_core.errors import InputError
+
+    try:
+        yield
+    except InputError as error:
+        typer.echo(f"deepseis: {error}", err=True)
+        raise typer.Exit(2) from None
+    except KeyboardInterrupt:
+        typer.echo("deepseis: interrupted", err=True)
+        raise typer.Exit(130) from None
+
+
+def into_run_folder(output: Path | None, work: Callable[[Path], Any]) -> None:
+    """Do ``work`` into a new run folder; its path is the last line printed."""
+    with one_line_errors():
+        from deepseis_bringup import runs
+
+        folder = runs.new_run_folder(output)
+        with runs.half_written_is_removed(folder):
+            work(folder)
+        typer.echo(str(folder))
+
+
+def say_figures(summary: dict[str, Any]) -> None:
+    """Print the figures a person looks for first."""
+    for key in FIGURES:
+        if key in summary:
+            typer.echo(f"{key} = {summary[key]}")
+
+
+def bag_of(path: Path) -> Path:
+    """Return the bag of a run's folder, or the path itself."""
+    inside = path / "bag"
+    return inside if inside.is_dir() and not any(path.glob("*.mcap")) else path
