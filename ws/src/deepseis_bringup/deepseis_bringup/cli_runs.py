@@ -85,7 +85,9 @@ def process(
         )
         options = runs.RunOptions(record_if=False, parameters={"pvt": pvt})
         figures = runs.run_recording(selection, folder, options)
-        say_figures(write_report(folder, truth=None, title=f"DeepSeis {if_file.name}", extra=figures))
+        say_figures(
+            write_report(folder, truth=None, title=f"DeepSeis {if_file.name}", extra=figures)
+        )
 
     into_run_folder(output, work)
 

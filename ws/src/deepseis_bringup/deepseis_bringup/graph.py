@@ -6,7 +6,7 @@ Launch files, the supervisor, the recorder and the compose file all come from he
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 ALL_SATELLITES = tuple(f"G{prn:02d}" for prn in range(1, 33))
@@ -24,6 +24,9 @@ TYPES: Mapping[str, tuple[str, str]] = {
     "/diagnostics": ("diagnostic_msgs/msg/DiagnosticArray", "stream"),
 }
 """Type and quality of service of every topic that is recorded."""
+
+KINDS = ("if_source", "acquisition", "tracker", "pvt", "truth_aiding", "recorder")
+"""Kinds of nodes; overrides of parameters go by kind."""
 
 SHARED = frozenset({"acquisition/request", "gnss/ephemeris", "/diagnostics"})
 """Topics on which several nodes publish: the recorder puts them in order."""
@@ -62,6 +65,17 @@ class NodeSpec:
     subscribes: tuple[str, ...]
     node_name: str
     parameters: Mapping[str, Any]
+    more_remaps: tuple[str, ...] = ()
+
+    def ros_parameters(self) -> dict[str, Any]:
+        """Return the parameters as ROS files hold them; empty lists are left at their default."""
+        plain = {k: list(v) if isinstance(v, tuple) else v for k, v in self.parameters.items()}
+        return {k: v for k, v in plain.items() if v != []}
+
+    def remaps(self) -> list[str]:
+        """Return the remapping rules; one names the process' first node, and no other in it."""
+        named = self.node_name != self.executable
+        return [f"{self.executable}:__node:={self.node_name}"] * named + list(self.more_remaps)
 
 
 def _epoch_topics(satellites: tuple[str, ...]) -> tuple[str, ...]:
@@ -213,16 +227,7 @@ def _recorder(config: GraphConfig, others: list[NodeSpec]) -> NodeSpec:
 
 
 def _with(spec: NodeSpec, extra: Mapping[str, Any]) -> NodeSpec:
-    return NodeSpec(
-        spec.name,
-        spec.package,
-        spec.executable,
-        spec.kind,
-        spec.publishes,
-        spec.subscribes,
-        spec.node_name,
-        {**spec.parameters, **extra},
-    )
+    return replace(spec, parameters={**spec.parameters, **extra})
 
 
 def _finish(spec: NodeSpec, nodes: list[NodeSpec], config: GraphConfig) -> NodeSpec:

@@ -127,7 +127,8 @@ class OfflineChain:
         self.tracking.acquisition_valid(engine.valid_through, engine.result_count)
 
     def _tracked(self, output: BlockOutput, utc_ns: int) -> Iterator[Output]:
-        for ephemeris in output.ephemerides:
+        in_order = sorted(output.ephemerides, key=lambda e: (e.effective_sample_index, e.satellite))
+        for ephemeris in in_order:
             stamp = self.clock.utc_ns(ephemeris.effective_sample_index)
             yield Output("gnss/ephemeris", ephemeris, stamp)
             self.pvt.push_ephemeris(ephemeris)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +15,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
 from deepseis_bringup.graph import ALL_SATELLITES, GraphConfig, build_graph
-from deepseis_bringup.supervisor import Supervisor, own_domain, running
+from deepseis_bringup.run_records import input_hash, recorded_run, versions, with_records
+from deepseis_bringup.supervisor import NodeFailureError, Supervisor, own_domain, running
 from deepseis_bringup.watch import GraphWatch
 from deepseis_core.errors import InputError
-from deepseis_core.sample_clock import SampleClock
+from deepseis_core.gps_time import GpsTime
+from deepseis_core.sample_clock import utc_ns_from_iso
 from deepseis_frontend.if_open import open_source
 from deepseis_frontend.if_stream import IfSource
 
@@ -56,6 +56,7 @@ class RunOptions:
     record_if: bool = True
     aiding: str = ""
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    timeout: float | None = None
 
 
 def new_run_folder(chosen: Path | None) -> Path:
@@ -74,7 +75,7 @@ def new_run_folder(chosen: Path | None) -> Path:
 
 @contextmanager
 def half_written_is_removed(folder: Path) -> Iterator[None]:
-    """Remove a folder made here if what fills it fails before anything was recorded."""
+    """Remove what a run left if its input was bad, or it ended before anything was recorded."""
     existed = folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -82,14 +83,25 @@ def half_written_is_removed(folder: Path) -> Iterator[None]:
         raise InputError(folder, f"cannot be made: {error.strerror}") from None
     try:
         yield
-    except BaseException:
-        started = any(path.stat().st_size > 65536 for path in folder.glob("bag/*.mcap"))
-        if not started and not existed:
-            shutil.rmtree(folder, ignore_errors=True)
-        elif not started:
-            for path in folder.iterdir():
-                shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink()
+    except BaseException as error:
+        if not _is_worth_keeping(folder, error):
+            _remove(folder, itself=not existed)
         raise
+
+
+def _is_worth_keeping(folder: Path, error: BaseException) -> bool:
+    """Whether a failed run is a record of something: of a node's failure, or of samples."""
+    if isinstance(error, InputError):
+        return isinstance(error, NodeFailureError)
+    return any(path.stat().st_size > 65536 for path in folder.glob("bag/*.mcap"))
+
+
+def _remove(folder: Path, *, itself: bool) -> None:
+    if itself:
+        shutil.rmtree(folder, ignore_errors=True)
+        return
+    for path in folder.iterdir():
+        shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink()
 
 
 @contextmanager
@@ -103,31 +115,8 @@ def progress_bar(text: str, total: float, unit: str = "s") -> Iterator[Any]:
         TimeElapsedColumn(),
     )
     with Progress(*columns, console=console, transient=not console.is_terminal) as progress:
-        task = progress.add_task(text, total=max(total, 1e-9))
+        task = progress.add_task(text, total=total or None)
         yield lambda done: progress.update(task, completed=done)
-
-
-def input_hash(path: Path) -> str:
-    """SHA-256 over a file, or over the files of a bag's folder in order of name."""
-    digest = hashlib.sha256()
-    files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
-    for file in files:
-        with file.open("rb") as stream:
-            while piece := stream.read(1 << 22):
-                digest.update(piece)
-    return digest.hexdigest()
-
-
-def versions() -> dict[str, str]:
-    """Return versions of what shapes the result."""
-    names = ("numpy", "numba", "scipy", "rclpy", "mcap")
-    found = {}
-    for name in names:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            found[name] = "unknown"
-    return found
 
 
 def run_recording(
@@ -157,19 +146,23 @@ def run_recording(
         The recording cannot be used, or a node failed.
     """
     source = open_source(selection)
-    duration = (source.total_samples or 0) / source.sample_rate_hz
-    config = graph_config(selection, source, folder, options)
     started = time.monotonic()
+    sha256 = input_hash(Path(selection.file))
+    config = with_records(graph_config(selection, source, folder, options), sha256)
     with own_domain() as environment:
         supervisor = Supervisor(build_graph(config), folder, environment=environment)
         with running(supervisor), GraphWatch(environment) as watch:
-            elapsed = _follow(supervisor, watch, source, duration, progress)
-    played = (watch.valid_through + 1) / source.sample_rate_hz
-    if played <= 0:
+            elapsed = _follow(supervisor, watch, source, options, progress)
+    duration = _seconds(source, watch.valid_through)
+    if duration <= 0:
         raise InputError(selection.file, "no sample came through the graph")
+    remarks = supervisor.warnings("if_source")
+    for text in remarks:
+        console.print(f"deepseis: {text}", highlight=False, soft_wrap=True, markup=False)
     return {
+        **({"input_remarks": "; ".join(remarks)} if remarks else {}),
         "input": str(Path(selection.file).name),
-        "input_sha256": input_hash(Path(selection.file)),
+        "input_sha256": sha256,
         "duration_s": round(duration, 6),
         "wall_time_s": round(time.monotonic() - started, 3),
         "graph_time_s": round(elapsed, 3),
@@ -183,36 +176,37 @@ def _follow(
     supervisor: Supervisor,
     watch: GraphWatch,
     source: IfSource,
-    duration: float,
+    options: RunOptions,
     progress: bool,
 ) -> float:
     """Wait for the end, showing how far the source is; returns the graph's wall time [s]."""
     if not progress:
-        supervisor.wait(poll=watch.poll)
+        supervisor.wait(poll=watch.poll, timeout=options.timeout)
         return watch.elapsed()
-    with progress_bar("running the graph", duration) as show:
-
-        def poll() -> None:
-            show(min(duration, max(0, watch.poll() + 1) / source.sample_rate_hz))
-
-        supervisor.wait(poll=poll)
+    total = (source.total_samples or 0) / source.sample_rate_hz
+    with progress_bar("running the graph", total) as show:
+        supervisor.wait(poll=lambda: show(_seconds(source, watch.poll())), timeout=options.timeout)
         elapsed = watch.elapsed()
-        show(duration)
+        show(_seconds(source, watch.valid_through))
     return elapsed
+
+
+def _seconds(source: IfSource, valid_through: int) -> float:
+    """Seconds of a recording played through a sample."""
+    return max(0, valid_through + 1 - source.first_sample) / source.sample_rate_hz
 
 
 def graph_config(
     selection: Selection, source: IfSource, folder: Path, options: RunOptions
 ) -> GraphConfig:
     """Return the graph for a recording and a run folder."""
-    start = selection.start_utc or source.start_utc_ns
+    given = selection.start_utc
+    start_ns = utc_ns_from_iso(given) if given else source.start_utc_ns
     parameters = {kind: dict(values) for kind, values in options.parameters.items()}
-    if source.start_utc_ns and not selection.start_utc:
-        clock = SampleClock(source.start_utc_ns, source.sample_rate_hz)
-        week = (clock.utc_ns(0) // 1_000_000_000 - 315_964_800) // 604_800
+    if start_ns:
+        week = GpsTime.from_utc_ns(start_ns).week
         for kind in ("tracker", "acquisition"):
-            parameters.setdefault(kind, {}).setdefault("reference_week", int(week))
-    del start
+            parameters.setdefault(kind, {}).setdefault("reference_week", week)
     return GraphConfig(
         source=selection.parameters(),
         sample_rate_hz=source.sample_rate_hz,
@@ -250,9 +244,16 @@ def demo(
 def replay(
     bag: Path, folder: Path, options: RunOptions, *, title: str = "DeepSeis replay"
 ) -> dict[str, Any]:
-    """Run the graph again on a recorded bag's samples."""
+    """Run the graph again on a recorded bag's samples, with the parameters of the recorded run."""
     from deepseis_bringup.report import write_report
 
+    recorded = recorded_run(bag)
+    satellites = recorded.satellites if options.satellites == ALL_SATELLITES else ()
+    options = replace(
+        options,
+        satellites=satellites or options.satellites,
+        parameters={**recorded.parameters, **options.parameters},
+    )
     figures = run_recording(Selection(str(bag)), folder, options)
     with console.status("writing the report"):
         return write_report(folder, truth=None, title=title, extra=figures)

@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,11 +33,10 @@ def _die_with_parent() -> None:
 
 
 def parameter_file(spec: NodeSpec, folder: Path) -> Path:
-    """Write a node's parameters as ROS reads them; empty lists are left at their default."""
-    values = {k: v for k, v in spec.parameters.items() if not (isinstance(v, list) and not v)}
-    plain = {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
+    """Write a node's parameters as ROS reads them."""
     path = folder / f"{spec.name}.yaml"
-    path.write_text(yaml.safe_dump({"/**": {"ros__parameters": plain}}, sort_keys=True))
+    values = {"/**": {"ros__parameters": spec.ros_parameters()}}
+    path.write_text(yaml.safe_dump(values, sort_keys=True))
     return path
 
 
@@ -83,8 +82,7 @@ class Supervisor:
         except executables.UnknownExecutableError as error:
             raise InputError(f"node {spec.name}", str(error)) from None
         arguments = ["--ros-args", "--params-file", str(parameters)]
-        if spec.node_name != spec.executable:
-            arguments += ["-r", f"{spec.executable}:__node:={spec.node_name}"]
+        arguments += [word for rule in spec.remaps() for word in ("-r", rule)]
         if self.namespace:
             arguments += ["-r", f"__ns:=/{self.namespace}"]
         with self.log_of(spec.name).open("wb") as log:
@@ -106,6 +104,11 @@ class Supervisor:
         """Return the last thing a node printed."""
         lines = self.log_of(name).read_text(errors="replace").strip().splitlines()
         return lines[-1] if lines else "no message"
+
+    def warnings(self, name: str) -> list[str]:
+        """Return what a node has warned of."""
+        lines = self.log_of(name).read_text(errors="replace").splitlines()
+        return [line.partition("]: ")[2] for line in lines if line.startswith("[WARN]")]
 
     def failed(self) -> tuple[str, int] | None:
         """Name the first process that ended badly, with its status."""
@@ -131,35 +134,48 @@ class Supervisor:
         """
         started = time.monotonic()
         while self.processes[until].poll() is None:
-            self._raise_failure()
+            self.raise_failure()
             poll()
             if timeout is not None and time.monotonic() - started > timeout:
                 raise InputError(f"node {until}", f"did not end within {timeout:g} s")
             time.sleep(0.02)
-        self._raise_failure()
+        self.raise_failure()
 
-    def _raise_failure(self) -> None:
-        failure = self.failed()
-        if failure is None:
+    def raise_failure(self) -> None:
+        """Raise the error of a process that ended badly.
+
+        Raises
+        ------
+        InputError
+            In a node's own words: what was wrong with its input (exit status 2).
+        NodeFailureError
+            A node failed or was killed.
+        """
+        if self.failed() is None:
             return
-        time.sleep(0.3)  # others name the culprit as well; the first bad input is the cause
-        culprits = [n for n, p in self.processes.items() if p.poll() == 2] or [failure[0]]
-        name = culprits[0]
-        status = self.processes[name].poll()
-        how = f"ended with status {status}" if (status or 0) > 0 else f"was killed ({status})"
-        raise NodeFailureError(name, how, self.last_line(name), self.log_of(name))
+        time.sleep(0.3)  # others name the culprit as well; bad input and signals are causes
+        ended = {name: status for name, status in self.statuses().items() if status}
+        name, status = min(ended.items(), key=lambda item: (item[1] != 2, item[1] > 0))
+        line = self.last_line(name)
+        if status == 2:
+            what, _, reason = line.removeprefix(f"{name}: ").partition(": ")
+            raise InputError(what, reason)
+        how = f"ended with status {status}" if status > 0 else f"was killed by signal {-status}"
+        raise NodeFailureError(name, how, line, self.log_of(name))
 
     def stop(self) -> None:
         """End everything that still runs, the recorder last; kill what does not end."""
-        order = [n for n in self.processes if n != "recorder"] + ["recorder"]
-        for name in order:
-            process = self.processes.get(name)
-            if process is not None and process.poll() is None:
+        self.end([name for name in self.processes if name != "recorder"])
+        self.end(["recorder"])
+
+    def end(self, names: Sequence[str]) -> None:
+        """Interrupt these nodes and wait for them; kill what does not end."""
+        processes = [self.processes[name] for name in names if name in self.processes]
+        for process in processes:
+            if process.poll() is None:
                 process.send_signal(signal.SIGINT)
-                if name == "recorder":
-                    break
         deadline = time.monotonic() + STOP_SECONDS
-        for process in self.processes.values():
+        for process in processes:
             try:
                 process.wait(max(0.1, deadline - time.monotonic()))
             except subprocess.TimeoutExpired:
@@ -181,12 +197,13 @@ class NodeFailureError(InputError):
 
 @contextmanager
 def running(supervisor: Supervisor) -> Iterator[Supervisor]:
-    """Start the graph; end it whatever happens."""
+    """Start the graph; end it whatever happens; what fails at the end is an error too."""
     try:
         supervisor.start()
         yield supervisor
     finally:
         supervisor.stop()
+    supervisor.raise_failure()
 
 
 @contextmanager

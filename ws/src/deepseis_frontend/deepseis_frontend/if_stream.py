@@ -38,6 +38,8 @@ class IfSource(Protocol):
         As in the blocks.
     start_utc_ns : int or None
         UTC of sample 0 [ns since 1970], where known.
+    first_sample : int
+        Index of the first sample that :meth:`blocks` gives.
     total_samples : int or None
         Samples that :meth:`blocks` will give, where known beforehand.
     remarks : list of Remark
@@ -48,6 +50,7 @@ class IfSource(Protocol):
     sample_rate_hz: float
     intermediate_frequency_hz: float
     start_utc_ns: int | None
+    first_sample: int
     total_samples: int | None
     remarks: list[Remark]
 

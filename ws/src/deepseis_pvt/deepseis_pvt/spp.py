@@ -5,7 +5,8 @@ modelled per satellite as::
 
     variance = floor_sd^2 + code_sd^2 / sin el + URA^2 + (0.5 I)^2 + (tropo_sd / (sin el + 0.1))^2
 
-with I the Klobuchar delay, which removes about half of the ionosphere; with weighting ``cn0`` the
+with I the Klobuchar delay, which removes about half of the ionosphere (before its parameters
+are known, I stands for ``unknown_iono_sd`` at the zenith, and counts whole); with weighting ``cn0`` the
 code's part is code_sd^2 10^((45 - C/N0) / 10) instead. A chi-square test of the weighted residuals
 finds out whether an outlier is present; the satellite without which the rest agrees best is left
 out, one at a time (B. W. Parkinson and P. Axelrad, "Autonomous GPS integrity monitoring using the
@@ -42,6 +43,9 @@ class SppConfig:
     code_sd: float = setting(0.6, "code noise at the zenith [m]", low=0.01, high=100.0)
     ephemeris_part: float = setting(
         1.0, "orbit and clock error as a part of the broadcast URA [-]", low=0.0, high=10.0
+    )
+    unknown_iono_sd: float = setting(
+        5.0, "zenith ionosphere before its parameters are known [m]", low=0.0, high=50.0
     )
     tropo_sd: float = setting(0.3, "troposphere left over at the zenith [m]", low=0.0, high=3.0)
     range_rate_sd: float = setting(
@@ -98,6 +102,7 @@ class SppSolver:
                 float(c.troposphere),
                 0.5,
                 c.tropo_sd,
+                0.0,
             ]
         )
         self._limits = [float(chi2.isf(c.false_alarm_probability, n)) for n in range(1, 65)]
@@ -137,6 +142,7 @@ class SppSolver:
         if klobuchar is None and model[kernels.IONO_ON]:
             model = model.copy()
             model[kernels.IONO_ON] = 0.0
+            model[kernels.IONO_SD] = self.config.unknown_iono_sd
         orbit_sd = np.full(n, 2.0) if accuracy is None else np.asarray(accuracy, np.float64)
         orbit_sd = orbit_sd * self.config.ephemeris_part
         epoch = _Epoch(satellites, pseudorange, noise, orbit_sd, klobuchar, tow, model, start)

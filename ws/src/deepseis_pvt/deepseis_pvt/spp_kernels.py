@@ -19,9 +19,10 @@ USED, RESIDUAL, VARIANCE, ELEVATION, AZIMUTH, EX, EY, EZ = range(8)
 """Columns of ``geometry``: 1 where used; range residual [m] and its variance [m^2]; elevation and
 azimuth [rad]; unit vector from the receiver to the satellite."""
 
-MASK, SINE_ON, FLOOR_SD, IONO_ON, TROPO_ON, IONO_PART, TROPO_SD = range(7)
+MASK, SINE_ON, FLOOR_SD, IONO_ON, TROPO_ON, IONO_PART, TROPO_SD, IONO_SD = range(8)
 """Fields of ``model``: elevation mask [rad]; 1 where noise grows towards the horizon; noise
-of every range [m]; switches; part of the ionosphere [-] and zenith troposphere [m] left over."""
+of every range [m]; switches; part of the ionosphere [-] and zenith troposphere [m] left over;
+zenith ionosphere [m] that is in the ranges unknown."""
 
 
 @njit(cache=True, nogil=True)
@@ -123,6 +124,8 @@ def form_residuals(
                 )
                 delay += iono
                 variance += (model[IONO_PART] * iono) ** 2
+            oblique = 1.0 + 16.0 * (0.53 - elevation / np.pi) ** 3
+            variance += (model[IONO_SD] * oblique) ** 2
             if model[TROPO_ON] > 0.0 and elevation > 0.0:
                 delay += saastamoinen_point(lat, height, elevation, 0.7)
                 variance += (model[TROPO_SD] / (sine + 0.1)) ** 2

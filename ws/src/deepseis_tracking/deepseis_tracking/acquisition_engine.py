@@ -159,6 +159,11 @@ class AcquisitionEngine:
         return [_result(detection, effective) for detection in detections]
 
 
+def _single(value: float) -> float:
+    """Round to the message's precision: channels see the same with and without DDS between."""
+    return float(np.float32(value))
+
+
 def _result(detection: Detection, effective_sample_index: int) -> AcquisitionResult:
     return AcquisitionResult(
         satellite=detection.satellite,
@@ -167,9 +172,9 @@ def _result(detection: Detection, effective_sample_index: int) -> AcquisitionRes
         effective_sample_index=effective_sample_index,
         code_phase_chips=detection.code_phase_chips,
         carrier_doppler_hz=detection.carrier_doppler_hz,
-        doppler_sd_hz=detection.doppler_sd_hz,
-        statistic=detection.statistic,
-        threshold=detection.threshold,
+        doppler_sd_hz=_single(detection.doppler_sd_hz),
+        statistic=_single(detection.statistic),
+        threshold=_single(detection.threshold),
         false_alarm_probability=detection.false_alarm_probability,
-        cn0_dbhz=detection.cn0_dbhz,
+        cn0_dbhz=_single(detection.cn0_dbhz),
     )

@@ -214,7 +214,6 @@ class Channel:
         n["lock_threshold"], n["unlock_threshold"] = config.lock_threshold, config.unlock_threshold
         n["code_lock_dbhz"], n["loss_dbhz"] = config.code_lock_dbhz, config.loss_dbhz
         n["loss_s"], n["periods"] = config.loss_s, config.integration_ms
-        n["max_extrapolation_s"] = config.max_extrapolation_s
         return numbers
 
     @property

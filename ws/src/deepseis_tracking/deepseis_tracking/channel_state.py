@@ -63,8 +63,6 @@ CONFIG = np.dtype(
         ("loss_dbhz", "f8"),
         ("loss_s", "f8"),
         ("periods", "i8"),  # code periods in a tracking integration
-        ("aid_divergence_hz", "f8"),
-        ("max_extrapolation_s", "f8"),
     ]
 )
 """Settings of one channel in numbers (one record)."""

@@ -188,6 +188,12 @@ def encode_message(msg: Any) -> bytes:
     out = bytearray(_HEADER)
     for name, text in _fields_of(type(msg)):
         _field(text)[0](out, getattr(msg, name))
+    return _whole(out)
+
+
+def _whole(out: bytearray) -> bytes:
+    """Fill up to a multiple of 4 bytes, as DDS does on the wire: what arrives is what was sent."""
+    out += _ZEROS[-len(out) % 4]
     return bytes(out)
 
 
@@ -221,7 +227,7 @@ class Codec(Generic[Value]):
         _put_text(out, frame_id)
         for name, put in self._puts:
             put(out, getattr(value, name))
-        return bytes(out)
+        return _whole(out)
 
     def decode(self, data: bytes) -> tuple[Value, int]:
         """Read a value, and the UTC [ns] of its header.

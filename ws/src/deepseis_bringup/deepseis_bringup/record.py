@@ -1,0 +1,148 @@
+"""Records the topics of a graph that runs already."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from deepseis_bringup.graph import TYPES, NodeSpec
+from deepseis_bringup.mcap_recording import METADATA
+from deepseis_bringup.station import terminate_is_interrupt
+from deepseis_bringup.supervisor import Supervisor, running
+from deepseis_bringup.watch import GraphWatch
+from deepseis_core.errors import InputError
+
+WAIT_SECONDS = 5.0
+"""How long to look for a first topic [s]."""
+SETTLE_SECONDS = 1.0
+"""A graph is known once nothing new has appeared for so long [s]."""
+
+
+def known_topic(name: str, station: str | None = None) -> str | None:
+    """Return the entry of `graph.TYPES` that a topic's full name is, if any.
+
+    Parameters
+    ----------
+    name : str
+        Full name.
+    station : str, optional
+        Only topics in this namespace, and those that all stations share; None: in any.
+
+    Examples
+    --------
+    >>> known_topic("/DSEI/tracking/G05/epochs")
+    'tracking/<sat>/epochs'
+    >>> known_topic("/DSEI/gnss/pvt", station="OTHER") is None
+    True
+    """
+    namespace = r"(/\w+)*" if station is None else re.escape(f"/{station}" if station else "")
+    for entry in TYPES:
+        if entry.startswith("/"):
+            pattern = re.escape(entry)
+        else:
+            pattern = f"{namespace}/" + re.escape(entry).replace("<sat>", r"[A-Z]\d\d")
+        if re.fullmatch(pattern, name):
+            return entry
+    return None
+
+
+def published_topics(watch: GraphWatch, station: str | None) -> dict[str, str]:
+    """Return full names of the topics that somebody publishes, with their entries in `TYPES`."""
+    found: dict[str, str] = {}
+    for name, types in watch.node.get_topic_names_and_types():
+        entry = known_topic(name, station)
+        if entry and TYPES[entry][0] in types and watch.node.count_publishers(name):
+            found[name] = entry
+    return found
+
+
+def find_topics(watch: GraphWatch, station: str | None) -> dict[str, str]:
+    """Look at the graph until it is known.
+
+    Raises
+    ------
+    InputError
+        Nobody publishes anything.
+    """
+    found: dict[str, str] = {}
+    deadline = time.monotonic() + WAIT_SECONDS
+    while time.monotonic() < deadline:
+        watch.poll()
+        now = published_topics(watch, station)
+        if now.keys() - found.keys():
+            found = now
+            deadline = time.monotonic() + SETTLE_SECONDS
+        time.sleep(0.05)
+    if not any(not entry.startswith("/") for entry in found.values()):
+        domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+        whose = f" of station {station}" if station else ""
+        raise InputError(
+            f"ROS domain {domain}",
+            f"nobody publishes a DeepSeis topic{whose} there",
+            "start a station first; demo, replay and process keep to a domain of their own",
+        )
+    return found
+
+
+def recorder_spec(topics: dict[str, str], directory: Path) -> NodeSpec:
+    """Describe a recorder that takes no part in the graph's flow control."""
+    entries = [" ".join((name, *TYPES[topics[name]])) for name in sorted(topics)]
+    name = f"record_{os.getpid()}"
+    parameters: dict[str, Any] = {"directory": str(directory.resolve()), "topics": entries}
+    return NodeSpec(
+        name="recorder",
+        package="deepseis_bringup",
+        executable="recorder",
+        kind="recorder",
+        publishes=(),
+        subscribes=tuple(topics),
+        node_name=name,
+        parameters=parameters,
+        more_remaps=(f"flow/recorder:={name}/flow",),
+    )
+
+
+def record(
+    folder: Path,
+    *,
+    station: str | None,
+    say: Callable[[str], None],
+    show: Callable[[str], None] = lambda _line: None,
+    duration: float = 0.0,
+) -> int:
+    """Record until interrupted, or for ``duration`` seconds; returns the number of messages.
+
+    Raises
+    ------
+    InputError
+        There is nothing to record, or the recorder failed.
+    """
+    bag = folder / "bag"
+    with terminate_is_interrupt(), GraphWatch({}) as watch:
+        topics = find_topics(watch, station)
+        say(f"recording {len(topics)} topics to {bag}")
+        supervisor = Supervisor([recorder_spec(topics, bag)], folder)
+        with running(supervisor):
+            started = time.monotonic()
+
+            def poll() -> None:
+                past = time.monotonic() - started
+                size = sum(path.stat().st_size for path in bag.glob("*.mcap")) / 1e6
+                show(f"{past:.0f} s, {size:.1f} MB")
+                if duration and past > duration:
+                    raise KeyboardInterrupt
+                time.sleep(0.1)
+
+            try:
+                supervisor.wait("recorder", poll=poll)
+            except KeyboardInterrupt:
+                say("stopping")
+    supervisor.raise_failure()
+    facts = yaml.safe_load((bag / METADATA).read_text(encoding="utf-8"))
+    return int(facts["rosbag2_bagfile_information"]["message_count"])

@@ -1,0 +1,185 @@
+"""Runs a station: the graph on its configuration until Ctrl-C or the end of the source."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+
+from deepseis_bringup.graph import build_graph
+from deepseis_bringup.runs import versions
+from deepseis_bringup.station_config import StationConfig
+from deepseis_bringup.supervisor import Supervisor, running
+from deepseis_bringup.watch import GraphWatch
+from deepseis_core.errors import InputError
+from deepseis_core.ros import qos
+from deepseis_msgs.msg import Watermark
+
+DISCOVERY_SECONDS = 1.0
+"""How long to look for another graph of the same name before starting [s]."""
+DRAIN_SECONDS = 10.0
+"""How long the nodes have to work through what the source sent before it was stopped [s]."""
+TRACKING = re.compile(r"tracking (\d+)")
+
+
+class StationWatch(GraphWatch):
+    """Listens to the diagnostics as well."""
+
+    def __init__(self, namespace: str, say: Callable[[str], None]) -> None:
+        super().__init__({}, namespace)
+        self.say = say
+        self.texts: dict[str, str] = {}
+        self.levels: dict[str, bytes] = {}
+        self.ended: set[str] = set()
+        self.node.create_subscription(
+            DiagnosticArray, "/diagnostics", self._on_diagnostics, qos.STREAM
+        )
+
+    def follow_ends(self, members: list[str]) -> None:
+        """Collect in ``ended`` who says that nothing more will follow, and who has said so."""
+        for member in members:
+            self.node.create_subscription(
+                Watermark, f"flow/{member}", self._on_member, qos.STREAM_LATCHED
+            )
+
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        for status in msg.status:
+            name = status.hardware_id
+            level, before = bytes(status.level), self.levels.get(name, b"\0")
+            self.texts[name], self.levels[name] = status.message, level
+            if level > before:
+                self.say(f"{name}: {status.message}")
+
+    def _on_member(self, msg: Watermark) -> None:
+        if msg.end_of_stream:
+            self.ended.add(msg.node)
+
+    def refuse_namesake(self) -> None:
+        """Complain if a graph of this name runs already.
+
+        Raises
+        ------
+        InputError
+            Two graphs would work through each other's samples.
+        """
+        deadline = time.monotonic() + DISCOVERY_SECONDS
+        while time.monotonic() < deadline:
+            if self.node.count_publishers("flow/if_source"):
+                name = self.node.get_namespace()
+                domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+                hint = "stop it, or set ROS_DOMAIN_ID or another station name"
+                raise InputError(f"station {name}", f"runs already in domain {domain}", hint)
+            time.sleep(0.05)
+
+    def line(self, sample_rate_hz: float) -> str:
+        """Say in one line what goes on."""
+        played = max(0, self.poll() + 1) / sample_rate_hz
+        counts = [TRACKING.search(text) for text in self.texts.values()]
+        tracked = sum(int(match[1]) for match in counts if match)
+        fix = self.texts.get("pvt", "no fix yet")
+        return f"{played:.1f} s played, {tracked} satellites tracked, {fix}"
+
+
+@contextmanager
+def terminate_is_interrupt() -> Iterator[None]:
+    """Let SIGTERM end the station as Ctrl-C does."""
+
+    def interrupt(_number: int, _frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def run_station(
+    config: StationConfig,
+    folder: Path,
+    *,
+    say: Callable[[str], None],
+    show: Callable[[str], None] = lambda _line: None,
+) -> dict[str, Any]:
+    """Run a station until it is interrupted or its source ends.
+
+    Parameters
+    ----------
+    config : StationConfig
+        What to run.
+    folder : Path
+        Run folder; exists.
+    say, show : callable
+        Told what happens once, and every tenth of a second how things are.
+
+    Returns
+    -------
+    dict
+        Figures of the run; also in ``summary.json``.
+
+    Raises
+    ------
+    InputError
+        The source cannot be used, a graph of this name runs already, or a node failed.
+    """
+    graph = config.graph(folder)
+    supervisor = Supervisor(build_graph(graph), folder, namespace=config.station)
+    members = [spec.name for spec in supervisor.specs if spec.name != "if_source"]
+    started, reason = time.monotonic(), "end of the source"
+    with terminate_is_interrupt(), StationWatch(config.station, say) as watch:
+        watch.refuse_namesake()
+        say(f"recording to {graph.record_dir}" if graph.record_dir else "not recording")
+        with running(supervisor):
+            try:
+                _follow(supervisor, watch, graph.sample_rate_hz, show)
+            except KeyboardInterrupt:
+                reason = "interrupted"
+                say("stopping")
+                _drain(supervisor, watch, members)
+    figures: dict[str, Any] = {
+        "ended_by": reason,
+        "mode": config.mode,
+        "station": config.station,
+        "duration_s": round((watch.valid_through + 1) / graph.sample_rate_hz, 6),
+        "wall_time_s": round(time.monotonic() - started, 3),
+        "nodes_with_warnings": sum(level > b"\0" for level in watch.levels.values()),
+        **{f"version_{name}": value for name, value in versions().items()},
+    }
+    (folder / "summary.json").write_text(json.dumps(figures, indent=2) + "\n")
+    return figures
+
+
+def _follow(
+    supervisor: Supervisor, watch: StationWatch, rate_hz: float, show: Callable[[str], None]
+) -> None:
+    shown = 0.0
+
+    def poll() -> None:
+        nonlocal shown
+        for _ in range(4):
+            watch.poll()
+        if time.monotonic() - shown > 0.1:
+            shown = time.monotonic()
+            show(watch.line(rate_hz))
+
+    supervisor.wait(poll=poll)
+
+
+def _drain(supervisor: Supervisor, watch: StationWatch, members: list[str]) -> None:
+    """Stop the source and let the others work through what it has sent."""
+    watch.follow_ends(members)
+    supervisor.end(["if_source"])
+    deadline = time.monotonic() + DRAIN_SECONDS
+    while watch.valid_through >= 0 and time.monotonic() < deadline:
+        watch.poll()
+        if watch.ended.issuperset(members) or supervisor.failed():
+            return
+        time.sleep(0.005)

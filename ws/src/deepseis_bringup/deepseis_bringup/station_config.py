@@ -1,0 +1,180 @@
+"""A station's configuration file: what it may say, and the graph that it asks for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from deepseis_bringup.graph import ALL_SATELLITES, KINDS, GraphConfig
+from deepseis_bringup.runs import RunOptions, Selection, graph_config
+from deepseis_core.errors import InputError
+from deepseis_frontend.if_open import open_source
+
+MODES = ("realtime", "lockstep")
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+SOURCE_KEYS = (*(item.name for item in fields(Selection)), "pace", "window_blocks")
+
+
+@dataclass(frozen=True)
+class StationConfig:
+    """What a station's file says; ``config/station.yaml`` explains every value."""
+
+    station: str = ""
+    source: Mapping[str, Any] = field(default_factory=dict)
+    satellites: tuple[str, ...] = ALL_SATELLITES
+    mode: str = "realtime"
+    one_process: bool = True
+    record: bool = True
+    record_if: bool = True
+    parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    @property
+    def selection(self) -> Selection:
+        """The recording to be played."""
+        names = {item.name for item in fields(Selection)}
+        return Selection(**{"file": "", **{k: v for k, v in self.source.items() if k in names}})
+
+    @property
+    def options(self) -> RunOptions:
+        """How to run it."""
+        pacing = {k: v for k, v in self.source.items() if k in ("pace", "window_blocks")}
+        parameters = {kind: dict(values) for kind, values in self.parameters.items()}
+        parameters["if_source"] = {**pacing, **parameters.get("if_source", {})}
+        return RunOptions(
+            mode=self.mode,
+            satellites=self.satellites,
+            one_process=self.one_process,
+            record=self.record,
+            record_if=self.record_if,
+            parameters=parameters,
+        )
+
+    def graph(self, folder: Path) -> GraphConfig:
+        """Return the graph that runs into ``folder``.
+
+        Raises
+        ------
+        InputError
+            The recording cannot be used.
+        """
+        source = open_source(self.selection)
+        return graph_config(self.selection, source, folder, self.options)
+
+
+def read_station_config(path: str | Path) -> StationConfig:
+    """Read a station's configuration file.
+
+    Parameters
+    ----------
+    path : path
+        YAML; files that it names are relative to its folder.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, a key is unknown or a value makes no sense.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        values = yaml.safe_load(text)
+    except OSError as error:
+        raise InputError(path, f"cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError(path, f"is not YAML: {' '.join(str(error).split())}") from None
+    return station_config({} if values is None else values, path)
+
+
+def station_config(values: Any, path: Path) -> StationConfig:
+    """Check what a configuration file says (see `read_station_config`)."""
+    check = _Checker(path)
+    known = tuple(item.name for item in fields(StationConfig))
+    values = check.mapping(values, "the file", known)
+    source = check.mapping(values.get("source"), "source", SOURCE_KEYS)
+    sections = check.mapping(values.get("parameters"), "parameters", KINDS)
+    parameters = {
+        kind: check.mapping(given, f"parameters.{kind}") for kind, given in sections.items()
+    }
+    config = StationConfig(
+        station=check.name(values.get("station")),
+        source=check.source(source),
+        satellites=check.satellites(values.get("satellites", "all")),
+        mode=str(values.get("mode", "realtime")),
+        parameters=check.files(parameters),
+        **{key: check.truth(values, key) for key in ("one_process", "record", "record_if")},
+    )
+    check.that(config.mode in MODES, f"mode is {config.mode!r}", "realtime or lockstep")
+    return config
+
+
+class _Checker:
+    """Complains in the words of the file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def that(self, condition: bool, reason: str, hint: str = "") -> None:
+        if not condition:
+            raise InputError(self.path, reason, hint)
+
+    def mapping(self, value: Any, name: str, known: tuple[str, ...] = ()) -> dict[str, Any]:
+        value = {} if value is None else value
+        is_mapping = isinstance(value, dict) and all(isinstance(key, str) for key in value)
+        self.that(is_mapping, f"{name} is not a mapping of names to values")
+        unknown = [key for key in value if known and key not in known]
+        hint = "known: " + ", ".join(known)
+        self.that(not unknown, f"unknown key {', '.join(unknown)} in {name}", hint)
+        return dict(value)
+
+    def truth(self, values: Mapping[str, Any], key: str) -> bool:
+        value = values.get(key, True)
+        self.that(isinstance(value, bool), f"{key} is {value!r}", "true or false")
+        return bool(value)
+
+    def name(self, value: Any) -> str:
+        name = "" if value is None else str(value)
+        good = not name or NAME.fullmatch(name) is not None
+        self.that(good, f"station {name!r} is no ROS name", "a letter, then letters, digits, _")
+        return name
+
+    def satellites(self, value: Any) -> tuple[str, ...]:
+        if value == "all":
+            return ALL_SATELLITES
+        hint = "all, or a list such as [G05, G12]"
+        self.that(isinstance(value, list) and bool(value), f"satellites is {value!r}", hint)
+        wrong = [str(item) for item in value if item not in ALL_SATELLITES]
+        self.that(not wrong, f"satellites: {', '.join(wrong)} not in G01 to G32", hint)
+        return tuple(sorted(set(value)))
+
+    def source(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Give the values their types; YAML 1.1 reads 4e6 as text and times as times."""
+        texts = ("file", "format", "start_utc")
+        whole = ("window_blocks",)
+        out: dict[str, Any] = {}
+        for key, value in values.items():
+            if value is None:
+                continue
+            kind: type = str if key in texts else int if key in whole else float
+            try:
+                out[key] = kind(value)
+            except (TypeError, ValueError):
+                self.that(False, f"source.{key} is {value!r}, not a number")
+        if out.get("file"):
+            out["file"] = str(self.beside(out["file"]))
+        return out
+
+    def files(self, parameters: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        """Make the files that parameters name relative to the configuration."""
+        for values in parameters.values():
+            for key, value in values.items():
+                if key.endswith("_file") and value:
+                    values[key] = str(self.beside(value))
+        return parameters
+
+    def beside(self, name: str) -> Path:
+        return (self.path.resolve().parent / Path(name).expanduser()).resolve()
