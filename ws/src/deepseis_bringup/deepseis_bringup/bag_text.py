@@ -97,7 +97,7 @@ def show_info(info: BagInfo, console: Console | None = None) -> None:
     rows = [_row(info.topics[name], start_ns) for name in sorted(info.topics)]
     if not console.is_terminal:
         for row in (("topic", "type", *NUMBERS), *rows):
-            console.print("\t".join(row), markup=False, soft_wrap=True)
+            print("\t".join(row), file=console.file)  # rich would make blanks of the tabs
         return
     table = Table(box=SIMPLE_HEAD, padding=(0, 1))
     table.add_column("topic", no_wrap=True)

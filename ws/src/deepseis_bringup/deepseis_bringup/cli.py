@@ -4,13 +4,16 @@ from typing import Annotated
 
 import typer
 
-from deepseis_bringup import cli_runs
+from deepseis_bringup import cli_bags, cli_runs, cli_sim, cli_station
 
 app = typer.Typer(
     help="A GNSS/INS seismograph station: ground motion through strong earthquakes.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
+    rich_markup_mode=None,
+    epilog="Exit status: 0 done, 1 failed, 2 bad input (one line says why), 130 interrupted.",
+    context_settings={"max_content_width": 100},
 )
 
 PASS_ON = {"ignore_unknown_options": True, "allow_extra_args": True}
@@ -57,7 +60,8 @@ def run(
         raise typer.Exit(2) from None
 
 
-cli_runs.register(app)
+for commands in (cli_runs, cli_station, cli_bags, cli_sim):
+    commands.register(app)
 
 
 def main() -> None:

@@ -7,16 +7,25 @@ from typing import Annotated
 
 import typer
 
-from deepseis_bringup.cli_common import Bag, Out, bag_of, into_run_folder, one_line_errors
+from deepseis_bringup.cli_common import (
+    Bag,
+    Out,
+    add_command,
+    bag_of,
+    into_run_folder,
+    one_line_errors,
+)
 
 
 def info(bag: Bag) -> None:
-    """Tell what a bag holds: topics, rates, times, versions, gaps, damage.
+    r"""Tell what a bag holds: topics, rates, times, versions, gaps, damage.
 
     Reads the whole bag, also one that was cut short. Where the output is no terminal, the
     topics come as lines with tabs between the columns.
 
-    Example:  ./deepseis info runs/20260101T000000Z
+    \b
+    Example:
+      ./deepseis info runs/20260101T000000Z
     """
     with one_line_errors():
         from deepseis_bringup import bag_info, bag_text
@@ -25,12 +34,14 @@ def info(bag: Bag) -> None:
 
 
 def recover(bag: Bag) -> None:
-    """Make a bag whole again that was cut short, by kill -9 or a loss of power.
+    r"""Make a bag whole again that was cut short, by kill -9 or a loss of power.
 
     Keeps every message that can be read, writes the index and metadata.yaml anew, and replaces
     a file only by its finished successor. A bag that is whole is left as it is.
 
-    Example:  ./deepseis recover runs/20260101T000000Z
+    \b
+    Example:
+      ./deepseis recover runs/20260101T000000Z
     """
     with one_line_errors():
         from deepseis_bringup import bag_info, bag_text
@@ -49,13 +60,15 @@ def record(
         float, typer.Option(help="Record so long, then stop; 0: until Ctrl-C [s].", min=0.0)
     ] = 0.0,
 ) -> None:
-    """Record all topics of a running station until Ctrl-C.
+    r"""Record all topics of a running station until Ctrl-C.
 
     Looks for DeepSeis topics in the present ROS_DOMAIN_ID (0 if unset); what appears after the
     start is not recorded. Takes no part in the graph's flow control: it may come and go. The
     run folder gets bag/ (MCAP and metadata.yaml), logs/ and parameters/.
 
-    Example:  ./deepseis record --station DSEI -o runs/aside
+    \b
+    Example:
+      ./deepseis record --station DSEI -o runs/aside
     """
 
     def work(folder: Path) -> None:
@@ -74,4 +87,4 @@ def record(
 def register(app: typer.Typer) -> None:
     """Add the commands to the application."""
     for command in (info, recover, record):
-        app.command()(command)
+        add_command(app, command)

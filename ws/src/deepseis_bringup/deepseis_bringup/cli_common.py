@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +22,11 @@ FIGURES = (
     "real_time_factor",
     "lost_samples",
 )
+
+
+def add_command(app: typer.Typer, command: Callable[..., None]) -> None:
+    r"""Add a command; a paragraph of its docstring that begins with ``\b`` keeps its lines."""
+    app.command(help=inspect.cleandoc(command.__doc__ or "").replace(r"\b", "\b"))(command)
 
 
 @contextmanager

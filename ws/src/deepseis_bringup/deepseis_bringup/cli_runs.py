@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from deepseis_bringup.cli_common import Bag, Out, bag_of, into_run_folder, say_figures
+from deepseis_bringup.cli_common import Bag, Out, add_command, bag_of, into_run_folder, say_figures
 
 
 def demo(
@@ -16,7 +16,17 @@ def demo(
     if_format: Annotated[str, typer.Option(help="Packing of the samples.")] = "iq2",
     seed: Annotated[int, typer.Option(help="Seed of noise and phases.")] = 1,
 ) -> None:
-    """Simulate 40 s of GPS signal, run the whole station on it over DDS, report with pictures."""
+    r"""Simulate GPS, run the whole station on it, report with pictures.
+
+    Makes 40 s of signal at 4 MHz for a still antenna, then plays it through one process for each
+    part of the graph over DDS (lockstep: as fast as the slowest). Takes about half a minute.
+    The run folder gets bag/ (MCAP with everything, the samples too), input/ (truth, navigation
+    data), RINEX files, report.html and summary.json; its path is the last line printed.
+
+    \b
+    Example:
+      ./deepseis demo -o runs/first
+    """
 
     def work(folder: Path) -> None:
         from deepseis_bringup import runs
@@ -40,7 +50,16 @@ def replay(
         bool, typer.Option("--without-if", help="Do not record the samples again.")
     ] = False,
 ) -> None:
-    """Run a recorded bag's samples through the graph again."""
+    r"""Run a recorded run's samples through the graph again.
+
+    In lockstep (default) the same bag gives the same bytes on every topic and in the RINEX
+    files, with one process or many, on a loaded machine or an idle one. --realtime keeps the
+    pace of the clock; what misses a deadline is flagged in the data and counted.
+
+    \b
+    Example:
+      ./deepseis replay runs/first -o runs/again
+    """
 
     def work(folder: Path) -> None:
         from deepseis_bringup import runs
@@ -57,19 +76,32 @@ def replay(
 
 def process(
     if_file: Annotated[Path, typer.Argument(help="IF recording.")],
-    format: Annotated[str, typer.Option(help="Packing: preset or text; see docs/formats.")] = "",
+    format: Annotated[
+        str, typer.Option(help="Packing: preset or text; see docs/formats.md.")
+    ] = "",
     rate: Annotated[float, typer.Option(help="Sampling rate [Hz].")] = 0.0,
     intermediate_frequency: Annotated[
         float, typer.Option("--if-hz", help="Nominal intermediate frequency [Hz].")
     ] = 0.0,
-    start_utc: Annotated[str, typer.Option(help="Coarse UTC of the first sample.")] = "",
+    start_utc: Annotated[
+        str, typer.Option(help="UTC of the first sample to some seconds, ISO 8601.")
+    ] = "",
     length: Annotated[float, typer.Option(help="Use so much [s]; 0: all.")] = 0.0,
     nav: Annotated[
         Path | None, typer.Option(help="RINEX navigation file for an assisted start.")
     ] = None,
     output: Out = None,
 ) -> None:
-    """Run a recording of your own through the graph."""
+    r"""Run an IF recording of your own through the graph.
+
+    Packing and rate come from a descriptor beside the file, <file>.yaml, or from the options
+    (docs/formats.md lists presets and texts). Leaves a run folder as the demo does, without
+    the samples in the bag.
+
+    \b
+    Example:
+      ./deepseis process capture.bin --format pocketsdr_iq8 --rate 4e6 --start-utc 2022-01-01T02:00
+    """
 
     def work(folder: Path) -> None:
         from deepseis_bringup import runs
@@ -95,4 +127,4 @@ def process(
 def register(app: typer.Typer) -> None:
     """Add the commands to the application."""
     for command in (demo, replay, process):
-        app.command()(command)
+        add_command(app, command)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from deepseis_bringup.cli_common import one_line_errors
+from deepseis_bringup.cli_common import add_command, one_line_errors
 
 SHORT_SECONDS = 24.0
 """Enough for subframes 1 to 3, from 2 s before the first: a first fix from what was decoded."""
@@ -16,7 +16,6 @@ SHORT_SECONDS = 24.0
 sim = typer.Typer(
     help="Simulate a scenario: makes an input bag, with the truth beside it.",
     no_args_is_help=True,
-    rich_markup_mode=None,
 )
 
 Folder = Annotated[
@@ -24,7 +23,6 @@ Folder = Annotated[
 ]
 
 
-@sim.command()
 def still(
     output: Folder,
     short: Annotated[
@@ -49,16 +47,18 @@ def still(
         bool, typer.Option("--raw", help="Leave the raw IF file if.bin and its descriptor too.")
     ] = False,
 ) -> None:
-    """Simulate an antenna that stands still under an open sky.
+    r"""Simulate an antenna that stands still under an open sky.
 
     Starts 2 s before a subframe 1, so that a receiver has a position after 20 s. Leaves bag/
     (`./deepseis replay DIR` runs it), truth.npz, nav.rnx and summary.json.
 
-    Example:  ./deepseis sim still --short --seed 7 --if-format iq8 -o runs/input
+    \b
+    Example:
+      ./deepseis sim still --short --seed 7 --if-format iq8 -o runs/input
     """
     with one_line_errors():
         from deepseis_bringup import simulate
-        from deepseis_bringup.runs import new_run_folder, progress_bars
+        from deepseis_bringup.runs import new_run_folder
         from deepseis_sim.scenario import StillConfig
 
         default = StillConfig()
@@ -72,12 +72,12 @@ def still(
             nav_file=str(nav or ""),
         )
         folder = new_run_folder(output)
-        with progress_bars(config.duration) as show:
-            summary = simulate.still(config, folder, keep_raw=raw, progress=show)
+        summary = simulate.still(config, folder, keep_raw=raw)
         typer.echo(f"satellites = {' '.join(summary['satellites'])}")
         typer.echo(str(folder))
 
 
 def register(app: typer.Typer) -> None:
     """Add the command to the application."""
+    add_command(sim, still)
     app.add_typer(sim, name="sim")

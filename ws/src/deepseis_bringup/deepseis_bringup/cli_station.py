@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from deepseis_bringup.cli_common import Out, into_run_folder, one_line_errors
+from deepseis_bringup.cli_common import Out, add_command, into_run_folder, one_line_errors
 
 Config = Annotated[
     Path | None, typer.Option(help="Configuration [YAML]; `--example` prints one, explained.")
@@ -21,7 +21,7 @@ def station(
         bool, typer.Option("--example", help="Print the example configuration and end.")
     ] = False,
 ) -> None:
-    """Run the station live until Ctrl-C or the end of its source.
+    r"""Run the station live until Ctrl-C or the end of its source.
 
     Starts one process for each part of the graph (source, acquisition, trackers, position,
     recorder) in the present ROS_DOMAIN_ID, under the station's name as namespace, at the pace of
@@ -31,7 +31,10 @@ def station(
     The run folder gets bag/, the RINEX files, summary.json, logs/ (what each node printed) and
     parameters/ (what each node was given).
 
-    Example:  ./deepseis station --example > my.yaml;  ./deepseis station --config my.yaml
+    \b
+    Examples:
+      ./deepseis station --example > my.yaml
+      ./deepseis station --config my.yaml -o runs/tonight
 
     Exit status: 0 ended by Ctrl-C or by the source, 2 bad input or a node failed.
     """
@@ -65,4 +68,4 @@ def example_path() -> Path:
 
 def register(app: typer.Typer) -> None:
     """Add the command to the application."""
-    app.command()(station)
+    add_command(app, station)

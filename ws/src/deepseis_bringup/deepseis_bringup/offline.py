@@ -17,11 +17,13 @@ from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_core.sample_clock import SampleClock, utc_ns_from_iso
 from deepseis_core.types import Aiding, IfBlock, Observations, Pvt
 from deepseis_frontend.if_open import open_source
+from deepseis_pvt.assisted_start import assistance_of
 from deepseis_pvt.observables import ObservablesConfig
 from deepseis_pvt.pvt_engine import PvtConfig, PvtEngine
 from deepseis_pvt.spp import SppConfig
 from deepseis_tracking.acquisition import AcquisitionConfig
 from deepseis_tracking.acquisition_engine import AcquisitionEngine, RetryConfig
+from deepseis_tracking.acquisition_windows import Forecast, WarmStart
 from deepseis_tracking.channel import TrackingConfig
 from deepseis_tracking.engine import BlockOutput, SlotConfig, TrackingEngine, check_satellites
 
@@ -89,7 +91,9 @@ class OfflineChain:
             _pick(AcquisitionConfig, searcher),
             _pick(SlotConfig, searcher),
             _pick(RetryConfig, searcher),
+            Forecast(_pick(WarmStart, searcher)),
         )
+        self.acquisition.clock = self.clock
         self.acquisition.expect_trackers([TRACKERS])
         self.tracking = TrackingEngine(
             names,
@@ -97,7 +101,12 @@ class OfflineChain:
             _pick(SlotConfig, tracker),
             wait_aiding=aiding is not None,
         )
-        self.pvt = _pvt_engine(config, config.parameters.get("pvt", {}))
+        known = config.parameters.get("pvt", {})
+        self.pvt = _pvt_engine(config, known)
+        troposphere = bool(known.get("troposphere", True))
+        self.pvt.assist(
+            assistance_of(known.get("position_ecef", ()), self.clock, troposphere=troposphere)
+        )
 
     def run(self) -> Iterator[Output]:
         """Work through the recording; yield what the graph would publish."""

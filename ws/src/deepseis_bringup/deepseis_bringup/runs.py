@@ -106,12 +106,16 @@ def _remove(folder: Path, *, itself: bool) -> None:
 
 @contextmanager
 def progress_bar(text: str, total: float, unit: str = "s") -> Iterator[Any]:
-    """Show a bar on stderr; yields a function that takes what is done so far."""
+    """Show a bar on stderr; yields a function that takes what is done so far.
+
+    ``total`` 0 is unknown: the bar only moves.
+    """
+    of_total = f"{{task.completed:.0f}} of {{task.total:.0f}} {unit}"
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         TaskProgressColumn(),
-        TextColumn(f"{{task.completed:.0f}} of {{task.total:.0f}} {unit}"),
+        TextColumn(of_total if total else f"{{task.completed:.0f}} {unit}"),
         TimeElapsedColumn(),
     )
     with Progress(*columns, console=console, transient=not console.is_terminal) as progress:

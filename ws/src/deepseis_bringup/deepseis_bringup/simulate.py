@@ -11,7 +11,8 @@ from typing import Any
 
 from deepseis_bringup.mcap_recording import BagWriter
 from deepseis_bringup.ros_definitions import TopicQos
-from deepseis_bringup.runs import input_hash, versions
+from deepseis_bringup.run_records import input_hash, versions
+from deepseis_bringup.runs import progress_bar
 from deepseis_core.errors import InputError
 from deepseis_core.ros import codecs, qos
 from deepseis_core.sample_clock import SampleClock
@@ -69,7 +70,6 @@ def still(
     folder: Path,
     *,
     keep_raw: bool = False,
-    progress: Callable[[str, float], object] = lambda _what, _done: None,
 ) -> dict[str, Any]:
     """Simulate a still antenna into ``folder``.
 
@@ -81,8 +81,6 @@ def still(
         New or empty. Gets ``bag/``, ``truth.npz``, ``nav.rnx`` and ``summary.json``.
     keep_raw : bool
         Leave the raw IF file and its descriptor too.
-    progress : callable, optional
-        Called with what is being done and the seconds of signal done.
 
     Returns
     -------
@@ -95,8 +93,10 @@ def still(
         A setting makes no sense or the folder cannot be written.
     """
     with nothing_half_written(folder):
-        made = simulate_still(config, folder, progress=lambda t: progress("making the signal", t))
-        write_input_bag(made.if_path, folder / "bag", lambda t: progress("writing the bag", t))
+        with progress_bar("making the signal", config.duration) as show:
+            made = simulate_still(config, folder, progress=show)
+        with progress_bar("writing the bag", config.duration) as show:
+            write_input_bag(made.if_path, folder / "bag", show)
         summary = _summary(config, made)
         if not keep_raw:
             made.if_path.unlink()

@@ -15,7 +15,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 
 from deepseis_bringup.graph import build_graph
-from deepseis_bringup.runs import versions
+from deepseis_bringup.run_records import versions
 from deepseis_bringup.station_config import StationConfig
 from deepseis_bringup.supervisor import Supervisor, running
 from deepseis_bringup.watch import GraphWatch

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 import rclpy
 from rclpy.context import Context
@@ -63,7 +63,7 @@ class GraphWatch:
         """Wall time from the first block to now [s]."""
         return time.monotonic() - self.started_at if self.started_at else 0.0
 
-    def __enter__(self) -> GraphWatch:
+    def __enter__(self) -> Self:
         """Return the watch."""
         return self
 

@@ -15,6 +15,7 @@ SBAS", Artech House 2009, ch. 4: coarse-time navigation).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -23,7 +24,9 @@ import numpy as np
 from deepseis_core.atmosphere import klobuchar_delay, saastamoinen_delay
 from deepseis_core.constants import L1_WAVELENGTH, NS_PER_S, NS_PER_WEEK, SPEED_OF_LIGHT
 from deepseis_core.geodesy import geodetic_from_ecef
+from deepseis_core.gps_time import GpsTime
 from deepseis_core.propagation import LineOfSight, line_of_sight
+from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import FloatArray, IntArray
 from deepseis_pvt.ephemeris_book import EphemerisBook
 
@@ -31,6 +34,7 @@ NS_PER_MS = 1_000_000
 MS_PER_WEEK = NS_PER_WEEK // NS_PER_MS
 BIT_MS = 20
 METRES_PER_MS = SPEED_OF_LIGHT / 1000.0
+_GPS_EPOCH_UTC_NS = 315_964_800 * 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,27 @@ class Assistance:
     gps_ns_at_sample_0: int
     range_sd: float = 2.0
     troposphere: bool = True
+
+
+def assistance_of(
+    position_ecef: Sequence[float], clock: SampleClock, *, troposphere: bool
+) -> Assistance | None:
+    """Return what a station's own settings tell; None where the position or time is not known.
+
+    Parameters
+    ----------
+    position_ecef : sequence of float
+        Antenna [m], three numbers or empty.
+    clock : SampleClock
+        Coarse UTC of samples; one that starts before 1980 is not known.
+    troposphere : bool
+        The signal went through one.
+    """
+    if len(position_ecef) != 3 or clock.start_utc_ns < _GPS_EPOCH_UTC_NS:
+        return None
+    x, y, z = (float(value) for value in position_ecef)
+    start = GpsTime.from_utc_ns(clock.start_utc_ns)
+    return Assistance((x, y, z), start.total_ns, troposphere=troposphere)
 
 
 def predict_transmit_ms(

@@ -49,17 +49,17 @@ class FirstFix:
         assistance: Assistance | None = None,
     ) -> None:
         self._builder, self._book, self._solver = builder, book, solver
-        self._max_gdop, self._assistance = max_gdop, assistance
+        self._max_gdop, self.assistance = max_gdop, assistance
 
     def attempt(self, sample: int) -> tuple[int, FloatArray] | None:
         """Return GPS time since its epoch [ns] and ECEF position [m] at a sample, or None."""
         sent = self._decoded(sample)
-        if len(sent) < 4 and self._assistance is not None:
-            coarse = GridClock(self._builder.sample_rate_hz, self._assistance.gps_ns_at_sample_0)
+        if len(sent) < 4 and self.assistance is not None:
+            coarse = GridClock(self._builder.sample_rate_hz, self.assistance.gps_ns_at_sample_0)
             names = self._builder.store.satellites
             gps_ns = coarse.gps_ns_at(sample)
             sent = resolve_start(
-                self._assistance, self._builder, names, self._book, sample, gps_ns
+                self.assistance, self._builder, names, self._book, sample, gps_ns
             )
         if len(sent) < 4:
             return None

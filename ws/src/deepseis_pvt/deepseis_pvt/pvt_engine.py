@@ -146,6 +146,10 @@ class PvtEngine:
         if self.book.add(ephemeris) and ephemeris.effective_sample_index >= 0:
             self.store.received_ephemeris(ephemeris.satellite)
 
+    def assist(self, assistance: Assistance | None) -> None:
+        """Take what is known before the first fix, once coarse time is."""
+        self._first_fix.assistance = assistance
+
     def push_klobuchar(self, alpha: Iterable[float], beta: Iterable[float]) -> None:
         """Take ionosphere parameters known from the start."""
         self.book.add_klobuchar(alpha, beta)

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from deepseis_core.baseband import Baseband
 from deepseis_core.config import setting
+from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import AcquisitionResult, IfBlock
 from deepseis_tracking.acquisition import Acquirer, AcquisitionConfig, Detection
+from deepseis_tracking.acquisition_windows import Forecast
 from deepseis_tracking.engine import SlotConfig
 
 
@@ -36,7 +38,11 @@ class AcquisitionEngine:
         config: AcquisitionConfig,
         slots: SlotConfig,
         retry: RetryConfig,
+        forecast: Forecast | None = None,
     ) -> None:
+        self.forecast = forecast
+        self.clock: SampleClock | None = None
+        self._windows: dict[str, tuple[float, float]] | None = None
         self.satellites, self.config, self.slots, self.retry = satellites, config, slots, retry
         self.due_from: dict[str, int] = dict.fromkeys(satellites, 0)
         self.lost_at: dict[str, int] = {}
@@ -124,6 +130,8 @@ class AcquisitionEngine:
                 self.lost_at[satellite] = sample
         self.requests = [r for r in self.requests if r[1] > start]
         self._targets = [s for s in self.satellites if self.due_from.get(s, start + 1) <= start]
+        if self._targets and self.forecast is not None and self.clock is not None:
+            self._windows = self.forecast.windows(self.clock.utc_ns(start))
         self._collected, self._start = [], block.sample_index
         for satellite in self._targets:
             recent = start - self.lost_at.get(satellite, -(1 << 60)) < 60 * rate
@@ -151,12 +159,23 @@ class AcquisitionEngine:
         self._collected = []
         self.counters["searches"] += len(targets)
         effective = (self.slot + self.slots.latency_slots) * slot_samples
-        detections = self._acquirer.search(i, q, self._start, targets)
+        detections = self._search(i, q, targets)
         for detection in detections:
             if detection.detected:
                 self.counters["found"] += 1
                 self.due_from.pop(detection.satellite, None)
         return [_result(detection, effective) for detection in detections]
+
+    def _search(
+        self, i: NDArray[np.int8], q: NDArray[np.int8], targets: list[str]
+    ) -> list[Detection]:
+        """Search, within the forecast's windows where there is one."""
+        assert self._acquirer is not None
+        if self._windows is None:
+            return self._acquirer.search(i, q, self._start, targets)
+        seen = [satellite for satellite in targets if satellite in self._windows]
+        windows = {satellite: self._windows[satellite] for satellite in seen}
+        return self._acquirer.search(i, q, self._start, seen, windows) if seen else []
 
 
 def _single(value: float) -> float:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from deepseis_core.config import setting
 from deepseis_core.ephemeris import pack, select_ephemerides
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.propagation import line_of_sight
+from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_core.types import Ephemeris
 
 MOTION_HZ = 20.0
@@ -61,3 +65,46 @@ def visible_windows(
         for i, name in enumerate(chosen)
         if view.elevation[i] >= elevation_mask
     }
+
+
+@dataclass(frozen=True)
+class WarmStart:
+    """What a station knows of the sky before it hears it."""
+
+    nav_file: str = setting("", "RINEX navigation file; empty: cold start [path]")
+    position_ecef: list[float] = setting([], "antenna, ECEF; empty: cold start [m]")
+    clock_offset_hz: float = setting(0.0, "what the oscillator is known to add at L1 [Hz]")
+    clock_uncertainty_hz: float = setting(600.0, "half width of what else it adds [Hz]", low=0.0)
+    time_uncertainty_s: float = setting(60.0, "of the coarse start time [s]", low=0.0)
+    elevation_mask_deg: float = setting(0.0, "lowest satellite [deg]", low=-5.0, high=90.0)
+
+
+class Forecast:
+    """Doppler windows at any coarse time, from a `WarmStart`.
+
+    Raises
+    ------
+    InputError
+        The navigation file cannot be used.
+    """
+
+    def __init__(self, warm: WarmStart) -> None:
+        self.warm = warm
+        self.known = bool(warm.nav_file) and len(warm.position_ecef) == 3
+        self._ephemerides = read_rinex_nav(warm.nav_file).ephemerides if self.known else []
+
+    def windows(self, utc_ns: int) -> dict[str, tuple[float, float]] | None:
+        """Return the windows of the satellites in view; None: nothing is known, search all."""
+        if not self.known:
+            return None
+        warm = self.warm
+        found = visible_windows(
+            warm.position_ecef,
+            GpsTime.from_utc_ns(utc_ns),
+            self._ephemerides,
+            warm.clock_uncertainty_hz,
+            clock_offset_hz=warm.clock_offset_hz,
+            time_uncertainty_s=warm.time_uncertainty_s,
+            elevation_mask=math.radians(warm.elevation_mask_deg),
+        )
+        return found or None

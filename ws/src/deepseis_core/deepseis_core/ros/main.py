@@ -57,7 +57,11 @@ def run(build: Callable[[Process], None], name: str, args: list[str] | None = No
     Exit status 0 after an orderly end or a signal, 2 for bad input (one line on stderr), 1 for
     a failure.
     """
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # rcl has many names for arguments that it cannot read
+        print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
+        sys.exit(2)
     process = Process()
 
     def on_signal(_number: int, _frame: FrameType | None) -> None:

@@ -15,6 +15,9 @@ from deepseis_core.errors import InputError
 Config = TypeVar("Config")
 
 
+_EMPTY_TEXTS, _EMPTY_NUMBERS = [""], [float("nan")]
+
+
 def _descriptor(item: Any) -> ParameterDescriptor:
     described = ParameterDescriptor(
         description=item.metadata.get("description", ""), read_only=True
@@ -45,13 +48,14 @@ def declare(node: Node, config_type: type[Config]) -> Config:
         initial = getattr(default, item.name)
         try:
             if isinstance(initial, (list, tuple)) and not initial:
-                initial = [""]
+                initial = _EMPTY_NUMBERS if item.type == "list[float]" else _EMPTY_TEXTS
             parameter = node.declare_parameter(item.name, initial, _descriptor(item))
         except (InvalidParameterTypeException, InvalidParameterValueException) as error:
             raise InputError(f"parameter {item.name} of {node.get_name()}", str(error)) from None
         value = parameter.value
         if isinstance(value, list) or (hasattr(value, "tolist") and not isinstance(value, str)):
-            value = [entry for entry in list(value) if entry != ""]
+            # ROS cannot tell the type of an empty list: a blank or NaN stands for it.
+            value = [entry for entry in list(value) if entry != "" and entry == entry]
         values[item.name] = value
     try:
         config = config_type(**values)

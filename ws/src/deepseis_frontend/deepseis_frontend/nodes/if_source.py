@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.duration import Duration
 from rclpy.node import Node
 
 from deepseis_core.config import setting
@@ -138,6 +139,14 @@ class IfSourceNode(Node):
             if gone and member in self.flow.others and not self.flow.others[member].end_of_stream:
                 self.flow.fail(f"{member} has died")
         self.advance()
+
+    def close(self) -> None:
+        """Where a signal ended the play, say that nothing follows."""
+        stopped = self.process.stopped
+        if stopped is None or stopped.status or self.finished or not self.sent:
+            return
+        self.end()
+        self.flow.publisher.wait_for_all_acked(Duration(seconds=1))
 
 
 def main() -> None:

@@ -25,6 +25,7 @@ from deepseis_core.types import Ephemeris, TrackingEpochs
 from deepseis_core.types import Observations as ObservationsValue
 from deepseis_core.types import Pvt as PvtValue
 from deepseis_msgs.msg import Observations, Pvt, Watermark
+from deepseis_pvt.assisted_start import assistance_of
 from deepseis_pvt.observables import ObservablesConfig
 from deepseis_pvt.products import RinexProducts
 from deepseis_pvt.pvt_engine import PvtConfig, PvtEngine
@@ -40,6 +41,9 @@ class NodeConfig:
     trackers: list[str] = setting([], "flow members that run the trackers [-]")
     sample_rate_hz: float = setting(4e6, "IF sampling rate [Hz]", low=1e5)
     nav_file: str = setting("", "RINEX navigation file for an assisted start; empty: none [path]")
+    position_ecef: list[float] = setting(
+        [], "surveyed antenna for an assisted start, ECEF; empty: not known [m]"
+    )
     output_dir: str = setting("", "folder for RINEX; empty: none [path]")
     station_name: str = setting("DSEI00XXX", "nine characters of the RINEX names [-]")
     pvt_deadline_ms: float = setting(200.0, "realtime: wait so long for a tracker [ms]", low=0)
@@ -55,7 +59,7 @@ class PvtNode(Node):
         self.config, engine_config = declare(self, NodeConfig), declare(self, PvtConfig)
         observables, spp = declare(self, ObservablesConfig), declare(self, SppConfig)
         reject_unknown(self)
-        config = self.config
+        config, self.troposphere = self.config, spp.troposphere
         try:
             self.engine = PvtEngine(
                 engine_config,
@@ -101,6 +105,8 @@ class PvtNode(Node):
         if self.clock is None:
             rate = self.config.sample_rate_hz
             self.clock = SampleClock.from_sample(epochs.block_sample_index, utc_ns, rate)
+            known = self.config.position_ecef
+            self.engine.assist(assistance_of(known, self.clock, troposphere=self.troposphere))
         self.engine.push_epochs(epochs)
         self.work()
 

@@ -18,6 +18,7 @@ from deepseis_core.types import IfBlock
 from deepseis_msgs.msg import AcquisitionRequest, AcquisitionResult, Watermark
 from deepseis_tracking.acquisition import AcquisitionConfig
 from deepseis_tracking.acquisition_engine import AcquisitionEngine, RetryConfig
+from deepseis_tracking.acquisition_windows import Forecast, WarmStart
 from deepseis_tracking.engine import SlotConfig, check_satellites
 
 
@@ -36,8 +37,11 @@ class AcquisitionNode(Node):
         self.flow = Flow(self, process, "acquisition", declare(self, FlowConfig))
         slots, search = declare(self, SlotConfig), declare(self, AcquisitionConfig)
         retry, peers = declare(self, RetryConfig), declare(self, PeersConfig)
+        forecast = Forecast(declare(self, WarmStart))
         reject_unknown(self)
-        self.engine = AcquisitionEngine(check_satellites(slots.satellites), search, slots, retry)
+        self.engine = AcquisitionEngine(
+            check_satellites(slots.satellites), search, slots, retry, forecast
+        )
         self.engine.expect_trackers(peers.trackers)
         self.publisher = self.flow.publish_on("acquisition/result", AcquisitionResult, qos.LATCHED)
         self.diagnostics = self.flow.publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
@@ -55,6 +59,7 @@ class AcquisitionNode(Node):
         if self.clock is None:
             rate = block.sample_rate_hz
             self.clock = SampleClock.from_sample(block.sample_index, utc_ns, rate)
+            self.engine.clock = self.clock
         self.engine.push_block(block)
         self.work()
 
