@@ -34,7 +34,9 @@ def test_a_program_gets_columns_with_tabs():
     table = [line.split("\t") for line in lines if "\t" in line]
     assert table[0] == ["topic", "type", "messages", "Hz", "first [s]", "last [s]", "MB"]
     assert table[1] == ["/empty", "deepseis_msgs/msg/Ephemeris", "0", "", "", "", "0.000"]
-    assert table[2] == "/gnss/pvt deepseis_msgs/msg/Pvt 11 10.00 0.000 1.000 0.005".split()
+    assert table[2] == [
+        *("/gnss/pvt", "deepseis_msgs/msg/Pvt", "11", "10.00", "0.000", "1.000", "0.005")
+    ]
     assert "starts 2022-01-01 00:00:00.000 UTC" in lines[1]
     assert "1 MCAP file, 123 kB, 11 messages, 1.000 s" in lines[0]
 

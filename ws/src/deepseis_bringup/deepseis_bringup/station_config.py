@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 
 from deepseis_bringup.graph import ALL_SATELLITES, KINDS, GraphConfig
+from deepseis_bringup.run_records import with_records
 from deepseis_bringup.runs import RunOptions, Selection, graph_config
 from deepseis_core.errors import InputError
 from deepseis_frontend.if_open import open_source
@@ -55,7 +56,9 @@ class StationConfig:
         )
 
     def graph(self, folder: Path) -> GraphConfig:
-        """Return the graph that runs into ``folder``.
+        """Return the graph that runs into ``folder``; its bag records the settings for replay.
+
+        The input is not hashed: a station begins at once, however long the recording.
 
         Raises
         ------
@@ -63,7 +66,7 @@ class StationConfig:
             The recording cannot be used.
         """
         source = open_source(self.selection)
-        return graph_config(self.selection, source, folder, self.options)
+        return with_records(graph_config(self.selection, source, folder, self.options), "")
 
 
 def read_station_config(path: str | Path) -> StationConfig:

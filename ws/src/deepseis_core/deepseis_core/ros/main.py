@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -16,6 +18,9 @@ from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from deepseis_core.errors import InputError
+
+DDS_PROFILE = Path(__file__).with_name("fastdds.xml")
+"""How often writers ask for receipts; a file named in the environment goes first."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,7 @@ def run(build: Callable[[Process], None], name: str, args: list[str] | None = No
     Exit status 0 after an orderly end or a signal, 2 for bad input (one line on stderr), 1 for
     a failure.
     """
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(DDS_PROFILE))
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rcl has many names for arguments that it cannot read
