@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -90,6 +90,13 @@ def process(
     nav: Annotated[
         Path | None, typer.Option(help="RINEX navigation file for an assisted start.")
     ] = None,
+    position: Annotated[
+        str,
+        typer.Option(
+            help="Surveyed antenna, 'latitude longitude height' [deg deg m]: with --nav and"
+            " --start-utc a fix needs no subframe."
+        ),
+    ] = "",
     output: Out = None,
 ) -> None:
     r"""Run an IF recording of your own through the graph.
@@ -106,16 +113,19 @@ def process(
     def work(folder: Path) -> None:
         from deepseis_bringup import runs
         from deepseis_bringup.report import write_report
+        from deepseis_core.geodesy import ecef_from_text
         from deepseis_core.rinex_nav import read_rinex_nav
 
-        pvt = {}
+        known: dict[str, Any] = {}
         if nav is not None:
             read_rinex_nav(nav)
-            pvt["nav_file"] = str(nav.resolve())
+            known["nav_file"] = str(nav.resolve())
+        if position:
+            known["position_ecef"] = ecef_from_text(position)
         selection = runs.Selection(
             str(if_file), format, rate, intermediate_frequency, start_utc, length_s=length
         )
-        options = runs.RunOptions(record_if=False, parameters={"pvt": pvt})
+        options = runs.RunOptions(record_if=False, parameters={"pvt": known, "acquisition": known})
         figures = runs.run_recording(selection, folder, options)
         say_figures(
             write_report(folder, truth=None, title=f"DeepSeis {if_file.name}", extra=figures)

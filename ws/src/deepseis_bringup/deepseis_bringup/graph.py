@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from deepseis_core.interface import SHARED_TOPICS
+
 ALL_SATELLITES = tuple(f"G{prn:02d}" for prn in range(1, 33))
 
 TYPES: Mapping[str, tuple[str, str]] = {
@@ -27,9 +29,6 @@ TYPES: Mapping[str, tuple[str, str]] = {
 
 KINDS = ("if_source", "acquisition", "tracker", "pvt", "truth_aiding", "recorder")
 """Kinds of nodes; overrides of parameters go by kind."""
-
-SHARED = frozenset({"acquisition/request", "gnss/ephemeris", "/diagnostics"})
-"""Topics on which several nodes publish: the recorder puts them in order."""
 
 
 @dataclass(frozen=True)
@@ -207,7 +206,7 @@ def _recorder(config: GraphConfig, others: list[NodeSpec]) -> NodeSpec:
     if not config.record_if:
         topics.remove("if/samples")
     entries = [
-        " ".join((topic, *topic_type(topic), *(["shared"] * (topic in SHARED))))
+        " ".join((topic, *topic_type(topic), *(["shared"] * (topic in SHARED_TOPICS))))
         for topic in topics
     ]
     return NodeSpec(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Container, Iterable, Iterator
+from dataclasses import dataclass, field
 from heapq import heappop, heappush
 
 
@@ -28,50 +30,93 @@ def if_block_end(cdr: bytes) -> int:
     return int(index + count - 1)
 
 
+def speaker_of(cdr: bytes, members: Container[str]) -> str:
+    """Name the flow member that published a diagnostic, an ephemeris or a request.
+
+    Diagnostics carry its name ("deepseis: pvt"), the others their satellite's.
+    """
+    at = _behind_text(12, cdr)
+    (count,) = struct.unpack_from("<I", cdr, at)
+    text = _text(cdr, at)
+    if text.startswith("G") and count == 4:
+        own = f"trackers_{text.lower()}"
+        return own if own in members else "trackers"
+    return _text(cdr, at + 8).removeprefix("deepseis: ")  # behind the count and the level
+
+
+def _behind_text(at: int, cdr: bytes) -> int:
+    return (at + 4 + int(struct.unpack_from("<I", cdr, at)[0]) + 3) // 4 * 4
+
+
+def _text(cdr: bytes, at: int) -> str:
+    (size,) = struct.unpack_from("<I", cdr, at)
+    return cdr[at + 4 : at + 3 + size].decode(errors="replace")
+
+
+@dataclass
+class _Member:
+    """How far a node has spoken: stamps of its watermarks, with the messages it had published."""
+
+    through_ns: int = 0
+    received: int = 0
+    announced: deque[tuple[int, int]] = field(default_factory=deque)
+
+    def settle(self) -> None:
+        """Believe the watermarks whose messages have all arrived."""
+        while self.announced and self.announced[0][1] <= self.received:
+            self.through_ns = max(self.through_ns, self.announced.popleft()[0])
+
+
 class StampOrder:
     """Puts messages that several nodes publish on one topic in order of their stamps.
 
     Which of two nodes' messages arrives first is chance. They wait here until every node has
-    spoken for the time before (its watermark), so the order in the bag is always the same.
+    spoken for the time before (its watermark) and what it said has arrived (its count), so the
+    order in the bag is always the same.
 
     Parameters
     ----------
     members : iterable of str
         Nodes whose watermarks count.
+    limit_ns : int, optional
+        Nothing waits longer than this behind the newest watermark (realtime: a node may hang).
 
     Examples
     --------
     >>> order = StampOrder(["pvt"])
-    >>> order.push("/diagnostics", 7, b"second"); order.push("/diagnostics", 5, b"first")
-    >>> order.heard("pvt", 6)
+    >>> order.push("/diagnostics", "pvt", 7, b"second")
+    >>> order.push("/diagnostics", "pvt", 5, b"first")
+    >>> order.heard("pvt", 6, 2)
     >>> list(order.due())
     [('/diagnostics', 5, b'first')]
     """
 
-    LIMIT_NS = 2_000_000_000
-    """Nothing waits longer than this behind the newest watermark: a node may hang."""
+    ENDED = 1 << 63
 
-    def __init__(self, members: Iterable[str]) -> None:
-        self.through = dict.fromkeys(members, 0)
-        self.newest = 0
+    def __init__(self, members: Iterable[str], limit_ns: int = 0) -> None:
+        self.members = {name: _Member() for name in members}
+        self.limit_ns, self.newest = limit_ns, 0
         self._waiting: list[tuple[int, str, bytes]] = []
 
-    def push(self, topic: str, stamp_ns: int, cdr: bytes) -> None:
+    def push(self, topic: str, member: str, stamp_ns: int, cdr: bytes) -> None:
         """Take a message."""
         heappush(self._waiting, (stamp_ns, topic, cdr))
+        if member in self.members:
+            self.members[member].received += 1
+            self.members[member].settle()
 
-    def heard(self, member: str, stamp_ns: int, *, ended: bool = False) -> None:
-        """Note a member's watermark."""
-        if ended:
-            self.through.pop(member, None)
-        elif member in self.through:
-            self.through[member] = max(stamp_ns, self.through[member])
+    def heard(self, member: str, stamp_ns: int, count: int, *, ended: bool = False) -> None:
+        """Note a member's watermark, before which it had published ``count`` such messages."""
         self.newest = max(self.newest, stamp_ns)
+        if member in self.members:
+            self.members[member].announced.append((self.ENDED if ended else stamp_ns, count))
+            self.members[member].settle()
 
-    def due(self, *, everything: bool = False) -> Iterable[tuple[str, int, bytes]]:
+    def due(self, *, everything: bool = False) -> Iterator[tuple[str, int, bytes]]:
         """Yield what need not wait any longer: topic, stamp and message."""
-        slowest = min(self.through.values(), default=self.newest)
-        limit = max(slowest, self.newest - self.LIMIT_NS)
+        limit = min((m.through_ns for m in self.members.values()), default=self.newest)
+        if self.limit_ns:
+            limit = max(limit, self.newest - self.limit_ns)
         while self._waiting and (everything or self._waiting[0][0] <= limit):
             stamp_ns, topic, cdr = heappop(self._waiting)
             yield topic, stamp_ns, cdr

@@ -6,6 +6,7 @@ Memory: about 0.1 MB for every second of twelve satellites at 50 Hz; IF samples 
 from __future__ import annotations
 
 import dataclasses
+import json
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -290,13 +291,24 @@ class _Reader:
             run.start_sample = int(min(first))
             run.end_sample = int(max(c["valid_through"].max() for c in run.tracking.values())) + 1
         if not np.isfinite(run.sample_rate_hz):
-            run.sample_rate_hz = _rate_of_stamps(longest)
+            run.sample_rate_hz = _rate_of_record(run.metadata) or _rate_of_stamps(longest)
+        if not np.isfinite(run.sample_rate_hz):
+            raise InputError(run.folder, "tells no sampling rate", "was it cut within a block?")
         before = (longest["block_sample_index"][0] - run.start_sample) / run.sample_rate_hz
         run.start_utc_ns = int(longest["stamp_ns"][0]) - round(before * 1e9)
 
 
 def _stamp(message: Any) -> int:
     return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
+
+
+def _rate_of_record(metadata: Mapping[str, Mapping[str, str]]) -> float:
+    """Sample rate [Hz] that the run's own record names, or 0."""
+    try:
+        recorded = json.loads(metadata["parameters"]["pvt"])["sample_rate_hz"]
+    except (KeyError, ValueError):
+        return 0.0
+    return float(recorded)
 
 
 def _rate_of_stamps(columns: Columns) -> float:

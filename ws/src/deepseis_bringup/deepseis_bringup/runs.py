@@ -59,6 +59,15 @@ class RunOptions:
     timeout: float | None = None
 
 
+SHORT_S = 3.0
+"""Recordings below this length [s] are searched with less signal, to leave some for tracking."""
+
+SHORT_SETTINGS: Mapping[str, Mapping[str, Any]] = {
+    "acquisition": {"slot_ms": 100, "noncoherent_count": 24},
+    "tracker": {"slot_ms": 100, "pull_in_ms": 100},
+}
+
+
 def new_run_folder(chosen: Path | None) -> Path:
     """Return the run folder to be made.
 
@@ -211,6 +220,9 @@ def graph_config(
         week = GpsTime.from_utc_ns(start_ns).week
         for kind in ("tracker", "acquisition"):
             parameters.setdefault(kind, {}).setdefault("reference_week", week)
+    if source.total_samples and source.total_samples < SHORT_S * source.sample_rate_hz:
+        for kind, values in SHORT_SETTINGS.items():
+            parameters[kind] = {**values, **parameters.get(kind, {})}
     return GraphConfig(
         source=selection.parameters(),
         sample_rate_hz=source.sample_rate_hz,

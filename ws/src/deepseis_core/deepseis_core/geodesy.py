@@ -22,6 +22,7 @@ from deepseis_core.constants import (
     WGS84_GRAVITY_EQUATOR,
     WGS84_GRAVITY_POLE,
 )
+from deepseis_core.errors import InputError
 from deepseis_core.types import FloatArray
 
 _SOMIGLIANA_K = WGS84_B * WGS84_GRAVITY_POLE / (WGS84_A * WGS84_GRAVITY_EQUATOR) - 1.0
@@ -186,3 +187,27 @@ def normal_gravity(latitude: ArrayLike, height: ArrayLike = 0.0) -> FloatArray:
     surface = WGS84_GRAVITY_EQUATOR * (1.0 + _SOMIGLIANA_K * sin2) / np.sqrt(1.0 - WGS84_E2 * sin2)
     slope = 2.0 / WGS84_A * (1.0 + WGS84_F + _GRAVITY_M - 2.0 * WGS84_F * sin2)
     return surface * (1.0 - slope * h + 3.0 * h**2 / WGS84_A**2)
+
+
+def ecef_from_text(text: str) -> list[float]:
+    """Read 'latitude longitude height' [deg deg m] as ECEF [m].
+
+    Raises
+    ------
+    InputError
+        There are not three numbers, or they are out of range.
+
+    Examples
+    --------
+    >>> [round(x) for x in ecef_from_text("0 90 100")]
+    [0, 6378237, 0]
+    """
+    hint = "such as '35.681298 139.766247 10'"
+    try:
+        lat, lon, height = (float(part) for part in text.replace(",", " ").split())
+    except ValueError:
+        raise InputError(f"position {text!r}", "is not three numbers", hint) from None
+    if not (abs(lat) <= 90.0 and abs(lon) <= 360.0 and abs(height) < 1e5):
+        raise InputError(f"position {text!r}", "is out of range", hint)
+    geodetic = np.array([np.radians(lat), np.radians(lon), height])
+    return [float(value) for value in ecef_from_geodetic(geodetic)]

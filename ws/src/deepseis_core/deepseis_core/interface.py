@@ -15,6 +15,9 @@ RECORD: Final = "deepseis"
 
 KEY: Final = "interface_version"
 
+SHARED_TOPICS: Final = frozenset({"acquisition/request", "gnss/ephemeris", "/diagnostics"})
+"""Topics on which several nodes publish: counted in watermarks, put in order by the recorder."""
+
 
 def require_interface(path: object, records: Mapping[str, Mapping[str, str]]) -> None:
     """Refuse a recording of another interface version, or of none.

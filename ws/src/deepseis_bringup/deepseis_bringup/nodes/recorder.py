@@ -10,7 +10,12 @@ from typing import Any
 from rclpy.node import Node
 
 from deepseis_bringup.mcap_recording import BagWriter
-from deepseis_bringup.recording_queue import StampOrder, if_block_end, stamp_of_cdr
+from deepseis_bringup.recording_queue import (
+    StampOrder,
+    if_block_end,
+    speaker_of,
+    stamp_of_cdr,
+)
 from deepseis_bringup.ros_definitions import TopicQos
 from deepseis_core.config import setting
 from deepseis_core.errors import InputError
@@ -21,6 +26,9 @@ from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_msgs.msg import Watermark
+
+SHARED_WAIT_NS = 1_000_000_000
+"""Realtime: a message of a shared topic waits so long for a node that hangs."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +60,8 @@ class RecorderNode(Node):
         self.records_if = False
         self.last_if = -1
         self.types: dict[str, str] = {}
-        self.order = StampOrder([*self.config.members, "if_source"])
+        limit_ns = 0 if self.flow.lockstep else SHARED_WAIT_NS
+        self.order = StampOrder([*self.config.members, "if_source"], limit_ns)
         for entry in self.config.topics:
             topic, type_name, profile, *shared = entry.split()
             self.records_if |= topic == "if/samples"
@@ -73,7 +82,9 @@ class RecorderNode(Node):
         def on_bytes(cdr: bytes, _info: Any = None) -> None:
             stamp_ns = stamp_of_cdr(cdr)
             if shared:
-                self.order.push(name, stamp_ns, cdr)
+                member = speaker_of(cdr, self.order.members)
+                self.order.push(name, member, stamp_ns, cdr)
+                self.write(self.order.due())
                 return
             self.writer.write(name, type_name, cdr, stamp_ns, stamp_ns)
             if is_if:
@@ -99,7 +110,8 @@ class RecorderNode(Node):
 
     def put_in_order(self, msg: Watermark) -> None:
         """Take a watermark; write the messages of shared topics that nothing can precede."""
-        self.order.heard(msg.node, ns_from_stamp(msg.header.stamp), ended=msg.end_of_stream)
+        stamp_ns = ns_from_stamp(msg.header.stamp)
+        self.order.heard(msg.node, stamp_ns, msg.shared_count, ended=msg.end_of_stream)
         self.write(self.order.due())
 
     def write(self, messages: Iterable[tuple[str, int, bytes]]) -> None:

@@ -15,6 +15,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 
 from deepseis_core.config import setting
+from deepseis_core.interface import SHARED_TOPICS
 from deepseis_core.ros import qos
 from deepseis_core.ros.convert import stamp_from_ns
 from deepseis_core.ros.main import Process
@@ -44,6 +45,7 @@ class Flow:
         self.others: dict[str, Watermark] = {}
         self.ready = False
         self.ended = False
+        self.shared_count = 0
         self._subscriptions: list[Any] = []
         self._last: tuple[int, int, int] = (-1, -1, 0)
         self._pending: Watermark | None = None
@@ -60,6 +62,14 @@ class Flow:
         """Create a publisher whose subscribers count for readiness."""
         publisher = (node or self.node).create_publisher(msg_type, topic, profile)
         self.publishers.setdefault(topic, []).append(publisher)
+        if topic in SHARED_TOPICS:
+            send = publisher.publish
+
+            def publish(msg: Any) -> None:
+                self.shared_count += 1
+                send(msg)
+
+            publisher.publish = publish
         return publisher
 
     def follow(
@@ -120,6 +130,7 @@ class Flow:
         msg.header.stamp = stamp_from_ns(utc_ns)
         msg.valid_through, msg.consumed_through = valid_through, consumed_through
         msg.event_count = count
+        msg.shared_count = self.shared_count
         self._pending = msg
         held_ns = utc_ns - self._announced_ns
         if held_ns >= self.config.flow_stride_ms * 1_000_000 or end_of_stream or utc_ns == 0:
