@@ -2,7 +2,7 @@
 
     python benchmarks/bench_if_synthesis.py [--json FILE]
 
-The work is that of issue 3's goal: 10 satellites at 4 MHz complex with Gaussian noise. The best of
+The work: 10 satellites at 4 MHz complex with Gaussian noise. The best of
 five runs is reported, in processor time: other load on the machine does not count as ours.
 """
 

@@ -100,7 +100,7 @@ def summary_of(measures: Measures) -> dict[str, Any]:
         "duration_s": round(run.duration, 6) if run.sample_rate_hz > 0 else 0.0,
         "sample_rate_hz": run.sample_rate_hz,
         **_position(measures),
-        "satellites_tracked": sum(v["locked_s"] > 0 for v in of_satellites.values()),
+        "satellites_tracked": sum(v["phase_lock_s"] > 0 for v in of_satellites.values()),
         "satellites_used": len(used),
         "satellites_searched": max(len(searched), len(of_satellites)),
         "slips": int(sum(v["slips"] for v in of_satellites.values())),

@@ -163,6 +163,7 @@ class Measures:
         values = {
             "cn0_mean_dbhz": _mean_dbhz(columns["cn0_dbhz"][settled]),
             "first_lock_s": _first(self.run.seconds(columns["sample_index"]), locked),
+            "phase_lock_s": float(seconds[flags & TrackingFlag.PHASE_LOCK > 0].sum()),
             "locked_s": float(seconds[locked].sum()),
             "slips": float(_rises(slips)),
             "half_cycles": float((turned[1:] & known[:-1]).sum()),
@@ -174,7 +175,7 @@ class Measures:
         return values | self._limits(values) | self._from_others(satellite)
 
     def _limits(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Thermal limits at the measured C/N0 (1-algorithms, section 4)."""
+        """Thermal limits at the measured C/N0 (thesis 3.2)."""
         aided = values["aided_share"] > 0.5
         bandwidth = self.loops["aided_bandwidth_hz" if aided else "pll_bandwidth_hz"]
         loop, single = thermal(values["cn0_mean_dbhz"], bandwidth, values["integration_s"])

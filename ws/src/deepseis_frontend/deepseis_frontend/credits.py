@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 
 class CreditWindow:
-    """Window of blocks that may be under way at once (2-architecture: at least D + 3 blocks).
+    """Window of blocks that may be under way at once, at least D + 3 blocks.
 
     Parameters
     ----------

@@ -41,8 +41,8 @@ class VisibleSatellite:
 def cn0_at_elevation(elevation: ArrayLike) -> FloatArray:
     """Return the C/N0 of an unobstructed satellite [dB-Hz].
 
-    A line in the sine of elevation through 45 dB-Hz at the zenith and 41 at 10 degrees (design,
-    3-acceptance), which continues below.
+    A line in the sine of elevation through 45 dB-Hz at the zenith and 41 at 10 degrees, which
+    continues below.
 
     Examples
     --------

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
+from scipy.optimize import brentq
 
 from deepseis_core.types import FloatArray
 
@@ -55,9 +58,17 @@ def detection_threshold(
     6.91
     """
     probability = cell_false_alarm(false_alarm_probability, cell_count)
-    numerator, denominator = sums, sums * reference_count
-    ratio = special.betaincinv(denominator, numerator, probability)
-    return float(reference_count * (1 - ratio) / ratio)
+    numerator, denominator = 2 * sums, 2 * sums * reference_count
+
+    def excess(ratio: float) -> float:
+        tail = float(special.fdtrc(numerator, denominator, ratio))
+        return math.log(max(tail, 1e-300)) - math.log(probability)
+
+    # SciPy's own inverses give nonsense here before 1.12, which Ubuntu 24.04 has.
+    high = 2.0
+    while excess(high) > 0:
+        high *= 2
+    return float(brentq(excess, 0.0, high, xtol=1e-12, rtol=1e-13))
 
 
 def doppler_crlb_hz(cn0_hz: float, spans: FloatArray) -> float:

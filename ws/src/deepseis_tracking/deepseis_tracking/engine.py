@@ -108,6 +108,14 @@ class TrackingEngine:
         self.done_through = -1
         self.counters = {"blocks": 0, "gaps": 0, "aid_missed": 0, "late_results": 0}
 
+    def compile(self) -> None:
+        """Compile the kernels (or load them from the cache) before samples arrive."""
+        channel = Channel(self.satellites[0], 4e6, self.config, self.slots.reference_week)
+        window = BasebandWindow(0)
+        blank = np.zeros(64, np.int8)
+        window.push(blank, blank, 0)
+        channel.advance(window, 0, 0)
+
     def push_block(self, block: IfBlock) -> None:
         """Take the next IF block; blocks come in order."""
         self.blocks.append(block)

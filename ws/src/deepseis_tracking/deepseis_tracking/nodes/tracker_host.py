@@ -68,6 +68,7 @@ class TrackerHost:
             )
         except ValueError as error:
             raise InputError(f"parameters of {self.name}", str(error)) from None
+        self.engine.compile()
         self.satellites = {name: SatelliteNode(name, self.flow) for name in names}
         for satellite_node in self.satellites.values():
             process.add(satellite_node)
