@@ -19,6 +19,8 @@ from deepseis_sim.scenario import StillConfig, simulate_still
 
 PROJECT = Path(__file__).resolve().parent.parent
 RATE = 4e6
+DURATION = 28.0
+"""First fix after 20 s, ionosphere parameters after 26 s (page 18 is in the second frame)."""
 ABSENT = "G05"
 """A satellite that is searched for and is not there."""
 

@@ -2,12 +2,12 @@
 
 import graph_runs
 import pytest
-from graph_runs import Run
+from graph_runs import DURATION, Run
 
 
 @pytest.fixture(scope="session")
 def recording(tmp_path_factory):
-    return graph_runs.recording(tmp_path_factory.mktemp("recording"), 26.0)
+    return graph_runs.recording(tmp_path_factory.mktemp("recording"), DURATION)
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,7 @@ from collections import defaultdict
 
 import graph_runs
 import pytest
-from graph_runs import ABSENT, RATE, busy_machine
+from graph_runs import ABSENT, DURATION, RATE, busy_machine
 
 from deepseis_bringup import runs
 from deepseis_bringup.graph import GraphConfig
@@ -28,10 +28,11 @@ def differing(one, other):
 def test_the_run_recorded_every_topic(recorded, recording):
     topics = recorded.payloads()
     assert {f"/tracking/{name}/epochs" for name in recording.satellites} < topics.keys()
-    assert len(topics["/if/samples"]) == 1300
-    assert len(topics["/gnss/ephemeris"]) == len(recording.satellites)
-    assert len(topics["/gnss/observations"]) > 200
-    assert len(topics["/gnss/pvt"]) == len(topics["/gnss/fix"]) > 40
+    assert len(topics["/if/samples"]) == DURATION * 50
+    # Again when the ionosphere's parameters have come.
+    assert len(topics["/gnss/ephemeris"]) == 2 * len(recording.satellites)
+    assert len(topics["/gnss/observations"]) > 300
+    assert len(topics["/gnss/pvt"]) == len(topics["/gnss/fix"]) > 60
     assert len(topics["/acquisition/result"]) == len(recording.satellites) + 1
 
 
@@ -74,11 +75,11 @@ def test_a_replay_of_the_bag_gives_the_same_bytes(recorded, tmp_path):
     again = graph_runs.Run(tmp_path, summary)
     assert differing(recorded.payloads(), again.payloads()) == []
     assert recorded.rinex() == again.rinex()
-    assert summary["duration_s"] == 26.0
+    assert summary["duration_s"] == DURATION
 
 
 def test_a_satellite_that_is_not_there_is_searched_for_and_idle(recorded):
     epochs = recorded.payloads()[f"/tracking/{ABSENT}/epochs"]
     promises = [graph_runs.decode("deepseis_msgs/msg/TrackingEpochs", data) for data in epochs]
     assert all(not len(p.sample_index) and p.mode == 0 for p in promises)
-    assert promises[-1].valid_through >= 26 * RATE - 1
+    assert promises[-1].valid_through >= DURATION * RATE - 1

@@ -15,7 +15,7 @@ from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_core.types import Ephemeris
 from deepseis_ins.aiding import DopplerPredictor, KnotGrid
 from deepseis_ins.truth_motion import TruthMotion
-from deepseis_tracking.channel_kernel import aid_at
+from deepseis_tracking.nco import aid_at
 
 BLOCK = 80_000
 START = GpsTime(2190, 525_600 * 10**9)

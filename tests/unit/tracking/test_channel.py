@@ -153,7 +153,8 @@ def test_any_chunking_gives_the_same_epochs():
     for item in dataclasses.fields(one[0]):
         if isinstance(getattr(one[0], item.name), np.ndarray) and "aid" not in item.name:
             # float32 columns scaled by the noise level of the block may differ in its estimate
-            exact = column(one, item.name).dtype.kind in "iu" or column(one, item.name).itemsize == 8
+            dtype = column(one, item.name).dtype
+            exact = dtype.kind in "iu" or dtype.itemsize == 8
             tolerance = 0 if exact else 2e-2
             a, b = column(one, item.name), column(two, item.name)
             np.testing.assert_allclose(a, b, rtol=tolerance, atol=tolerance)

@@ -17,7 +17,9 @@ def correlate_plainly(baseband, start, count, code, phase_cycles, step_cycles):
 
 
 @pytest.mark.parametrize("dtype", [np.int8, np.int16])
-@pytest.mark.parametrize(("phase", "step"), [(0.0, 0.0), (0.3, 1.1e-3), (-7.25, -2.5e-3), (1e9, 0.2)])
+@pytest.mark.parametrize(
+    ("phase", "step"), [(0.0, 0.0), (0.3, 1.1e-3), (-7.25, -2.5e-3), (1e9, 0.2)]
+)
 def test_kernel_equals_its_numpy_twin(dtype, phase, step):
     rng = np.random.default_rng(5)
     i, q = (rng.integers(-100, 100, 9000).astype(dtype) for _ in range(2))

@@ -20,9 +20,7 @@ SATELLITES = ("G05", "G07")
 def block(index, amplitude=10):
     """A block of noise."""
     data = np.random.default_rng(index).integers(-amplitude, amplitude, 2 * COUNT)
-    return IfBlock(
-        index * COUNT, COUNT, RATE, 0.0, "iq8", data.astype(np.int8).view(np.uint8)
-    )
+    return IfBlock(index * COUNT, COUNT, RATE, 0.0, "iq8", data.astype(np.int8).view(np.uint8))
 
 
 def result(satellite="G05", effective=SLOT):

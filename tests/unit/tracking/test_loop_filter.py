@@ -28,7 +28,14 @@ def run_loop(gains, period, errors, ramp_hz=0.0, chirp=0.0):
     return lag
 
 
-CASES = [(1, 1.0, 0.02), (2, 8.0, 0.02), (2, 15.0, 0.02), (3, 8.0, 0.02), (3, 15.0, 0.02), (2, 18.0, 0.001)]
+CASES = [
+    (1, 1.0, 0.02),
+    (2, 8.0, 0.02),
+    (2, 15.0, 0.02),
+    (3, 8.0, 0.02),
+    (3, 15.0, 0.02),
+    (2, 18.0, 0.001),
+]
 
 
 @pytest.mark.parametrize(("order", "bandwidth", "period"), CASES)

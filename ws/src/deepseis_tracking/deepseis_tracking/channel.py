@@ -169,6 +169,8 @@ class Channel:
         self.satellite, self.config = satellite, config or TrackingConfig()
         self.sample_rate_hz = sample_rate_hz
         check(self.config)
+        if 20 % self.config.integration_ms:
+            raise ValueError(f"integration_ms = {self.config.integration_ms} does not divide 20")
         self.bank = ReplicaBank(satellite, sample_rate_hz)
         self.states = np.zeros(1, STATE)
         self.state = self.states[0]

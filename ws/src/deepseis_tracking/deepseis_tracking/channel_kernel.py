@@ -12,88 +12,17 @@ import numpy as np
 from numba import njit
 
 from deepseis_core.constants import CA_LENGTH, CA_RATE_CPS, L1_HZ
+from deepseis_tracking.bit_sync import search_bit_edge
 from deepseis_tracking.correlator import CARRIER_GROUP, correlate_period
 from deepseis_tracking.discriminators import costas_atan, dll_envelope, frequency_error
+from deepseis_tracking.lock_detector import PERIOD_S, update_cn0, update_locks
+from deepseis_tracking.nco import aid_at, plan_nco, switch_aiding
 from deepseis_tracking.replica import MARGIN
 
 IDLE, PULL_IN, BIT_SYNC, TRACK, TRACK_AIDED = 0, 1, 2, 3, 4
 CODE_LOCK, PHASE_LOCK, BIT_SYNCED, POLARITY_KNOWN, SLIP = 1, 2, 4, 8, 16
 AID_MISSED, AID_DIVERGED = 64, 128
 CARRIER_TO_CODE = CA_RATE_CPS / L1_HZ
-PERIOD_S = 1e-3
-
-
-@njit(cache=True, nogil=True)
-def aid_at(
-    sample: float, knots: np.ndarray, rates: np.ndarray, first: int, step: int, rate_hz: float
-) -> float:
-    """Aiding Doppler at a sample [Hz]: cubic Hermite between knots, a line beyond the last."""
-    position = (sample - first) / step
-    last = knots.shape[0] - 1
-    if position >= last:
-        return knots[last] + rates[last] * (sample - first - last * step) / rate_hz
-    if position <= 0.0:
-        return knots[0] + rates[0] * (sample - first) / rate_hz
-    index = int(position)
-    x = position - index
-    span = step / rate_hz
-    x2, x3 = x * x, x * x * x
-    return (
-        (2 * x3 - 3 * x2 + 1) * knots[index]
-        + (x3 - 2 * x2 + x) * span * rates[index]
-        + (3 * x2 - 2 * x3) * knots[index + 1]
-        + (x3 - x2) * span * rates[index + 1]
-    )
-
-
-@njit(cache=True, nogil=True)
-def update_locks(state: Any, config: Any, i: float, q: float, duration: float) -> None:
-    """Low-pass the lock detectors and apply their hysteresis; ``i``, ``q`` in noise sigmas."""
-    alpha = min(1.0, duration / 0.25)
-    power = i * i + q * q - 2.0
-    state.lock_num += alpha * (i * i - q * q - state.lock_num)
-    state.lock_den += alpha * (power - state.lock_den)
-    state.power += alpha * (power / (2.0 * duration) - state.power)
-    indicator = state.lock_num / max(state.lock_den, 0.5)
-    if state.phase_lock == 0 and indicator > config.lock_threshold and state.mode_epochs > 3:
-        state.phase_lock = 1
-    elif state.phase_lock == 1 and indicator < config.unlock_threshold:
-        state.phase_lock = 0
-    fast_cn0 = 10.0 * math.log10(max(state.power, 1.0))
-    if state.code_lock == 0 and fast_cn0 > config.code_lock_dbhz:
-        state.code_lock = 1
-    elif state.code_lock == 1 and fast_cn0 < config.loss_dbhz:
-        state.code_lock = 0
-    if state.narrow_wide < 0.0:
-        state.cn0 = fast_cn0
-    state.weak_s = 0.0 if state.code_lock == 1 else state.weak_s + duration
-    state.unlocked_s = 0.0 if state.phase_lock == 1 else state.unlocked_s + duration
-
-
-@njit(cache=True, nogil=True)
-def update_cn0(state: Any, prompts: np.ndarray) -> None:
-    """Narrow-to-wide power ratio over one data bit, averaged 1 s (Van Dierendonck 1996)."""
-    count = prompts.shape[0]
-    total_i, total_q, wide, cross_i, cross_q = 0.0, 0.0, 0.0, 0.0, 0.0
-    for m in range(count):
-        i, q = prompts[m, 0], prompts[m, 1]
-        total_i += i
-        total_q += q
-        wide += i * i + q * q
-        if m > 0:
-            cross_i += i * prompts[m - 1, 0] + q * prompts[m - 1, 1]
-            cross_q += q * prompts[m - 1, 0] - i * prompts[m - 1, 1]
-    duration = count * PERIOD_S
-    state.cross_i += min(1.0, duration / 0.4) * (cross_i - state.cross_i)
-    state.cross_q += min(1.0, duration / 0.4) * (cross_q - state.cross_q)
-    ratio = (total_i * total_i + total_q * total_q) / wide
-    if state.narrow_wide < 0.0:
-        state.narrow_wide = ratio
-    state.narrow_wide += max(duration, 1.0 / (2.0 + state.mode_epochs)) * (
-        ratio - state.narrow_wide
-    )
-    mean = min(max(state.narrow_wide, 1.0 + 1e-3), count - 1e-3)
-    state.cn0 = 10.0 * math.log10((mean - 1.0) / (count - mean) / PERIOD_S)
 
 
 @njit(cache=True, nogil=True)
@@ -106,37 +35,6 @@ def filter_carrier(
     state.nco_hz = 0.5 * (state.slope_hz + slope) + k1 * error
     state.slope_hz = slope
     state.accel = accel
-
-
-@njit(cache=True, nogil=True)
-def search_bit_edge(state: Any, i: float, q: float) -> int:
-    """Energy of 20 ms sums at each of the 20 offsets; the edge (0..19) once it is clear, or -1."""
-    slot = state.period_count % 20
-    state.recent_i[slot] = i
-    state.recent_q[slot] = q
-    if state.mode_epochs < 20:
-        return -1
-    sum_i, sum_q = 0.0, 0.0
-    for m in range(20):
-        sum_i += state.recent_i[m]
-        sum_q += state.recent_q[m]
-    edge = (slot + 1) % 20
-    state.bit_energy[edge] += sum_i * sum_i + sum_q * sum_q - 40.0
-    if state.mode_epochs < 400 or state.mode_epochs % 20 != 0:
-        return -1
-    best = 0
-    for m in range(1, 20):
-        if state.bit_energy[m] > state.bit_energy[best]:
-            best = m
-    left, right = state.bit_energy[(best + 19) % 20], state.bit_energy[(best + 1) % 20]
-    bits = state.mode_epochs / 20.0
-    top = state.bit_energy[best] / bits
-    # A 20 ms sum of amplitude a (in sigmas of 1 ms, so noise power 40) has power variance
-    # 80 a^2 + 1600; neighbouring offsets share 19 of 20 periods, hence a tenth of it differs.
-    spread = math.sqrt(max(80.0 * top + 1600.0, 1.0) * 0.1 / bits)
-    if top - max(left, right) / bits > 4.0 * spread and top - max(left, right) / bits > 0.03 * top:
-        return best
-    return -1
 
 
 @njit(cache=True, nogil=True)
@@ -268,58 +166,6 @@ def _change_mode(
 
 
 @njit(cache=True, nogil=True)
-def switch_aiding(state: Any, on: bool, aid_hz: float, aid_rate: float) -> None:
-    """Begin or end aiding without a bump: the total frequency and its rate stay.
-
-    With aiding on, the frequency integrator holds what the aiding does not explain: the clock.
-    """
-    if on and state.mode == TRACK:
-        state.mode = TRACK_AIDED
-        state.slope_hz -= aid_hz
-        state.nco_hz -= aid_hz
-        state.accel = 0.0
-    elif not on and state.mode == TRACK_AIDED:
-        state.mode = TRACK
-        state.slope_hz += aid_hz
-        state.nco_hz += aid_hz
-        state.accel = aid_rate
-
-
-@njit(cache=True, nogil=True)
-def _plan_nco(
-    state: Any,
-    config: Any,
-    row: Any,
-    use_aid: bool,
-    knots: np.ndarray,
-    rates: np.ndarray,
-    knot_first: int,
-    knot_step: int,
-    aid_through: int,
-    duration: float,
-) -> None:
-    """NCO polynomial of the coming integration: aiding as a parabola, plus the loop's output."""
-    rate_hz = config.sample_rate
-    row.aid_doppler_hz = np.nan
-    row.aid_age_s = 0.0
-    start = float(state.next_sample)
-    row.carrier_doppler_rate = 0.0
-    row.carrier_doppler_accel = 0.0
-    if not use_aid:
-        row.carrier_doppler_hz = state.nco_hz
-        return
-    length = duration * rate_hz
-    first = aid_at(start, knots, rates, knot_first, knot_step, rate_hz)
-    middle = aid_at(start + 0.5 * length, knots, rates, knot_first, knot_step, rate_hz)
-    last = aid_at(start + length, knots, rates, knot_first, knot_step, rate_hz)
-    row.aid_doppler_hz = first
-    row.aid_age_s = max(0.0, (start + length - 2.0 - aid_through) / rate_hz)
-    row.carrier_doppler_hz = state.nco_hz + first
-    row.carrier_doppler_rate = (-3.0 * first + 4.0 * middle - last) / duration
-    row.carrier_doppler_accel = 2.0 * (first - 2.0 * middle + last) / (duration * duration)
-
-
-@njit(cache=True, nogil=True)
 def advance(
     states: np.ndarray,
     configs: np.ndarray,
@@ -386,21 +232,18 @@ def advance(
         elif state.mode == TRACK_AIDED and not aid_valid:
             row.flags |= AID_MISSED
             if knots.shape[0] > 1:
-                here = aid_at(
-                    float(state.next_sample),
-                    knots,
-                    rates,
-                    knot_first,
-                    knot_step,
-                    config.sample_rate,
-                )
-                switch_aiding(state, False, here, 0.0)
+                start, rate = float(state.next_sample), config.sample_rate
+                here = aid_at(start, knots, rates, knot_first, knot_step, rate)
+                next_ms = start + PERIOD_S * rate
+                then = aid_at(next_ms, knots, rates, knot_first, knot_step, rate)
+                slope = (then - here) / PERIOD_S if config.track_gains[2] > 0.0 else 0.0
+                switch_aiding(state, False, here, slope)
             else:
                 _restart(state, 0.0)
                 done -= 1
                 continue
         use_aid = state.mode == TRACK_AIDED
-        _plan_nco(
+        plan_nco(
             state,
             config,
             row,

@@ -160,6 +160,11 @@ class TrackingEngine:
             return "aiding"
         return ""
 
+    @property
+    def is_tracking(self) -> bool:
+        """Whether any channel has a signal."""
+        return any(channel.mode != TrackingMode.IDLE for channel in self.channels.values())
+
     def advance(self, *, force: bool = False) -> BlockOutput | None:
         """Work through one block if its inputs are there.
 

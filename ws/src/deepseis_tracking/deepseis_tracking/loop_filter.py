@@ -1,10 +1,10 @@
 r"""Loop filters of orders 1 to 3, designed for the bandwidth they really have.
 
 A loop that measures the mean phase error of one integration and corrects the frequency of the
-next is a discrete system. At ``Bn T = 0.16`` (8 Hz, 20 ms) the analog constants of thesis
-table 2.1 (order 2: ``Bn = 0.53 wn``, ``a2 = 1.414``; order 3: ``Bn = 0.7845 wn``, ``a3 = 1.1``,
-``b3 = 2.4``) make it about 25 % wider than asked. `design_loop` keeps their damping and scales
-``wn`` until the discrete noise bandwidth is the one asked for.
+next is a discrete system. At 20 ms the analog constants of thesis table 2.1 (order 2: ``Bn = 0.53
+wn``, ``a2 = 1.414``; order 3: ``Bn = 0.7845 wn``, ``a3 = 1.1``, ``b3 = 2.4``) make an order-2 loop
+of "4 Hz" 25 % wider than it says, of "8 Hz" 64 %, and "15 Hz" is really 51 Hz. `design_loop` keeps
+their damping and scales ``wn`` until the discrete noise bandwidth is the one asked for.
 
 The discrete loop, error ``e_k`` in cycles over integration ``k`` of length ``T``::
 

@@ -126,7 +126,9 @@ class TrackerHost:
         self.work()
 
     def on_deadline(self) -> None:
-        """Realtime: wait no longer than the deadline for aiding."""
+        """Realtime: wait no longer than the deadline; only a first acquisition holds up nothing."""
+        if self.engine.waiting_for() == "acquisition" and not self.engine.is_tracking:
+            return
         waited = time.monotonic() - self.arrived
         if self.engine.blocks and waited > self.config.aiding_deadline_ms * 1e-3:
             self.work(force=True)
