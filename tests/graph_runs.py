@@ -1,4 +1,4 @@
-"""Runs of the graph for tests: short recordings, bags as sequences of bytes, RINEX without dates."""
+"""Runs of the graph for tests: short recordings, bags as bytes, RINEX without dates."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from deepseis_bringup.runs import RunOptions, Selection, run_recording
 from deepseis_core.mcap_scan import McapScan
@@ -27,8 +29,18 @@ ABSENT = "G05"
 
 def recording(folder: Path, duration: float, **settings: Any) -> SimulatedRecording:
     """Six satellites above 20 deg, from 2 s before a subframe 1; a fix takes 20 s."""
-    config = StillConfig(duration=duration, elevation_mask_deg=20.0, **settings)
+    config = StillConfig(**{"duration": duration, "elevation_mask_deg": 20.0, **settings})
     return simulate_still(config, folder)
+
+
+def assistance(recording: SimulatedRecording) -> dict[str, dict[str, Any]]:
+    """Parameters of a station that knows its position and the orbits.
+
+    With nine satellites it has a fix after 1.4 s, with five after the first subframe (8.1 s).
+    """
+    position = np.load(recording.truth_path)["antenna_ecef"][0].tolist()
+    known = {"nav_file": str(recording.nav_path), "position_ecef": position}
+    return {"pvt": known, "acquisition": known}
 
 
 @dataclass(frozen=True)

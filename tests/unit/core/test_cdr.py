@@ -37,7 +37,7 @@ def example(codec: Codec, count: int, seed: int = 1):
         text = types[item.name]
         base = text.removeprefix("sequence<").split("[")[0].rstrip(">")
         if base == "string":
-            names = tuple("G%02d" % k for k in range(1, count + 1))
+            names = tuple(f"G{k:02d}" for k in range(1, count + 1))
             values[item.name] = names if text.startswith("sequence") else "G17"
         elif text.startswith("sequence<") or "[" in text:
             size = int(text[:-1].split("[")[1]) if "[" in text else count

@@ -14,6 +14,7 @@ from deepseis_bringup.cli_common import (
     bag_of,
     into_run_folder,
     one_line_errors,
+    say,
 )
 
 
@@ -77,7 +78,7 @@ def record(
 
         with console.status("looking for topics") as status:
             count = recording.record(
-                folder, station=station, duration=duration, say=console.print, show=status.update
+                folder, station=station, duration=duration, say=say, show=status.update
             )
         typer.echo(f"messages = {count}")
 

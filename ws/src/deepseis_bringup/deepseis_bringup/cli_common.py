@@ -55,6 +55,13 @@ def into_run_folder(output: Path | None, work: Callable[[Path], Any]) -> None:
         typer.echo(str(folder))
 
 
+def say(text: str) -> None:
+    """Tell on stderr what happens, past a status line if there is one."""
+    from deepseis_bringup.runs import console
+
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
 def say_figures(summary: dict[str, Any]) -> None:
     """Print the figures a person looks for first."""
     for key in FIGURES:

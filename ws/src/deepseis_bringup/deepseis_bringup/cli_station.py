@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from deepseis_bringup.cli_common import Out, add_command, into_run_folder, one_line_errors
+from deepseis_bringup.cli_common import Out, add_command, into_run_folder, one_line_errors, say
 
 Config = Annotated[
     Path | None, typer.Option(help="Configuration [YAML]; `--example` prints one, explained.")
@@ -51,7 +51,7 @@ def station(
         settings = read_station_config(config or example_path())
         with console.status("starting") as status:
             show = status.update if console.is_terminal else lambda _line: None
-            figures = run_station(settings, folder, say=console.print, show=show)
+            figures = run_station(settings, folder, say=say, show=show)
         typer.echo(f"ended_by = {figures['ended_by']}")
         typer.echo(f"duration_s = {figures['duration_s']}")
 

@@ -136,7 +136,9 @@ class OfflineChain:
         self.tracking.acquisition_valid(engine.valid_through, engine.result_count)
 
     def _tracked(self, output: BlockOutput, utc_ns: int) -> Iterator[Output]:
-        in_order = sorted(output.ephemerides, key=lambda e: (e.effective_sample_index, e.satellite))
+        in_order = sorted(
+            output.ephemerides, key=lambda e: (e.effective_sample_index, e.satellite)
+        )
         for ephemeris in in_order:
             stamp = self.clock.utc_ns(ephemeris.effective_sample_index)
             yield Output("gnss/ephemeris", ephemeris, stamp)
@@ -193,15 +195,16 @@ def _pick(config_type: type[Config], given: Any) -> Config:
 def encode(output: Output) -> bytes:
     """Return the bytes that the graph publishes for an output."""
     from deepseis_core.ros import codecs
-    from deepseis_core.ros.cdr import encode_message
+    from deepseis_core.ros.cdr import Codec, encode_message
     from deepseis_core.ros.navsat import fix_from_pvt
 
     topic, value, utc_ns = output.topic, output.value, output.utc_ns
     if topic == "gnss/fix":
         return encode_message(fix_from_pvt(value, utc_ns))
     if topic == "acquisition/request":
-        return encode_message(codecs.acquisition_request(*value, utc_ns))
-    by_topic = {
+        satellite, sample_index, *_ = value
+        return encode_message(codecs.acquisition_request(satellite, sample_index, utc_ns))
+    by_topic: dict[str, Codec[Any]] = {
         "if/samples": codecs.IF_BLOCK,
         "acquisition/result": codecs.ACQUISITION_RESULT,
         "gnss/ephemeris": codecs.EPHEMERIS,

@@ -58,9 +58,7 @@ class FirstFix:
             coarse = GridClock(self._builder.sample_rate_hz, self.assistance.gps_ns_at_sample_0)
             names = self._builder.store.satellites
             gps_ns = coarse.gps_ns_at(sample)
-            sent = resolve_start(
-                self.assistance, self._builder, names, self._book, sample, gps_ns
-            )
+            sent = resolve_start(self.assistance, self._builder, names, self._book, sample, gps_ns)
         if len(sent) < 4:
             return None
         receive_ms = max(ms for ms, _ in sent.values()) + FIRST_TRAVEL_MS

@@ -8,9 +8,9 @@ modelled per satellite as::
 with I the Klobuchar delay, which removes about half of the ionosphere (before its parameters
 are known, I stands for ``unknown_iono_sd`` at the zenith, and counts whole); with weighting
 ``cn0`` the code's part is code_sd^2 10^((45 - C/N0) / 10) instead. A chi-square test of the
-weighted residuals finds out whether an outlier is present; the satellite without which the rest agrees best is left
-out, one at a time (B. W. Parkinson and P. Axelrad, "Autonomous GPS integrity monitoring using the
-pseudorange residual", Navigation 35(2), 1988).
+weighted residuals finds out whether an outlier is present; the satellite without which the rest
+agrees best is left out, one at a time (B. W. Parkinson and P. Axelrad, "Autonomous GPS integrity
+monitoring using the pseudorange residual", Navigation 35(2), 1988).
 """
 
 from __future__ import annotations

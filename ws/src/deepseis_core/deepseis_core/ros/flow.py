@@ -7,6 +7,7 @@ the graph's description promises, so nothing published later can be missed.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +21,9 @@ from deepseis_core.ros import qos
 from deepseis_core.ros.convert import stamp_from_ns
 from deepseis_core.ros.main import Process
 from deepseis_msgs.msg import Watermark
+
+ACKNOWLEDGE_SECONDS = 5.0
+"""Time for all readers to acknowledge everything at the end [s]."""
 
 
 @dataclass(frozen=True)
@@ -145,9 +149,11 @@ class Flow:
 
     def finish(self) -> None:
         """Announce the end after everything published has reached its readers."""
+        deadline = time.monotonic() + ACKNOWLEDGE_SECONDS
         for publishers in self.publishers.values():
             for publisher in publishers:
-                publisher.wait_for_all_acked(Duration(seconds=5))
+                left = max(0.0, deadline - time.monotonic())  # a reader may have died
+                publisher.wait_for_all_acked(Duration(nanoseconds=round(left * 1e9)))
         self.ended = True
         self.send(self._last[0], self._last[1], end_of_stream=True)
 

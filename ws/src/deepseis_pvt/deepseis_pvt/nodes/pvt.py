@@ -76,7 +76,7 @@ class PvtNode(Node):
             self.products = RinexProducts(config.output_dir, station)
         self.load_navigation()
         self.clock: SampleClock | None = None
-        self.second, self.progressed = -1, time.monotonic()
+        self.second, self.progressed, self.looked = -1, time.monotonic(), 0.0
         publish_on = self.flow.publish_on
         self.observations = publish_on("gnss/observations", Observations, qos.STREAM)
         self.pvt = publish_on("gnss/pvt", Pvt, qos.STREAM)
@@ -127,7 +127,11 @@ class PvtNode(Node):
 
     def on_deadline(self) -> None:
         """Realtime: wait no longer than the deadline for a tracker."""
-        if time.monotonic() - self.progressed > self.config.pvt_deadline_ms * 1e-3:
+        now = time.monotonic()
+        if now - self.looked > 0.1:
+            self.progressed = now  # this process itself stood still: its inputs are queued
+        self.looked = now
+        if now - self.progressed > self.config.pvt_deadline_ms * 1e-3:
             self.work(self.engine.newest_sample())
 
     def work(self, force_through: int | None = None) -> None:
