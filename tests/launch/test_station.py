@@ -67,7 +67,7 @@ def test_ctrl_c_ends_a_station_with_everything_worked_through(domain, configure,
     process = start(configure(source={"pace": 0.4}), folder)  # lasts 70 s
     try:
         wait_for_samples(process, folder / "bag", 2e6)
-        aside = command("record", "--station", "DSEI", "--duration", "2", "-o", tmp_path / "aside")
+        aside = command("record", "--station", "DSEI", "--duration", "4", "-o", tmp_path / "aside")
         namesake = command("station", "--config", configure(), "-o", tmp_path / "second")
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=40)
@@ -95,6 +95,7 @@ def test_ctrl_c_ends_a_station_with_everything_worked_through(domain, configure,
     assert aside.returncode == 0, aside.stderr
     others = graph_runs.payloads(tmp_path / "aside" / "bag")
     samples = others["/DSEI/if/samples"]
+    assert samples, (aside.stderr, {name: len(data) for name, data in others.items()})
     first = recorded["/DSEI/if/samples"].index(samples[0])
     assert samples == recorded["/DSEI/if/samples"][first : first + len(samples)]
 

@@ -108,6 +108,17 @@ def recorder_spec(topics: dict[str, str], directory: Path) -> NodeSpec:
     )
 
 
+def is_subscribed(watch: GraphWatch, spec: NodeSpec) -> bool:
+    """Tell whether a recorder has subscribed to all its topics."""
+    return all(
+        any(
+            info.node_name == spec.node_name
+            for info in watch.node.get_subscriptions_info_by_topic(topic)
+        )
+        for topic in spec.subscribes
+    )
+
+
 def record(
     folder: Path,
     *,
@@ -116,7 +127,7 @@ def record(
     show: Callable[[str], None] = lambda _line: None,
     duration: float = 0.0,
 ) -> int:
-    """Record until interrupted, or for ``duration`` seconds; returns the number of messages.
+    """Record until interrupted or for ``duration`` seconds; returns the number of messages.
 
     Raises
     ------
@@ -126,13 +137,17 @@ def record(
     bag = folder / "bag"
     with terminate_is_interrupt(), GraphWatch({}) as watch:
         topics = find_topics(watch, station)
-        say(f"recording {len(topics)} topics to {bag}")
-        supervisor = Supervisor([recorder_spec(topics, bag)], folder)
+        spec = recorder_spec(topics, bag)
+        supervisor = Supervisor([spec], folder)
         with running(supervisor):
-            started = time.monotonic()
+            started = 0.0
 
             def poll() -> None:
-                past = time.monotonic() - started
+                nonlocal started
+                if not started and is_subscribed(watch, spec):
+                    say(f"recording {len(topics)} topics to {bag}")
+                    started = time.monotonic()
+                past = time.monotonic() - started if started else 0.0
                 size = sum(path.stat().st_size for path in bag.glob("*.mcap")) / 1e6
                 show(f"{past:.0f} s, {size:.1f} MB")
                 if duration and past > duration:

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import signal
+import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -63,7 +64,7 @@ class StationWatch(GraphWatch):
             self.ended.add(msg.node)
 
     def refuse_namesake(self) -> None:
-        """Complain if a graph of this name runs already.
+        """Complain if a graph of this name is seen, started by other means or elsewhere.
 
         Raises
         ------
@@ -73,10 +74,7 @@ class StationWatch(GraphWatch):
         deadline = time.monotonic() + DISCOVERY_SECONDS
         while time.monotonic() < deadline:
             if self.node.count_publishers("flow/if_source"):
-                name = self.node.get_namespace()
-                domain = os.environ.get("ROS_DOMAIN_ID") or "0"
-                hint = "stop it, or set ROS_DOMAIN_ID or another station name"
-                raise InputError(f"station {name}", f"runs already in domain {domain}", hint)
+                raise _runs_already(self.node.get_namespace())
             time.sleep(0.05)
 
     def line(self, sample_rate_hz: float) -> str:
@@ -86,6 +84,32 @@ class StationWatch(GraphWatch):
         tracked = sum(int(match[1]) for match in counts if match)
         fix = self.texts.get("pvt", "no fix yet")
         return f"{played:.1f} s played, {tracked} satellites tracked, {fix}"
+
+
+def _domain() -> str:
+    return os.environ.get("ROS_DOMAIN_ID") or "0"
+
+
+def _runs_already(name: str) -> InputError:
+    hint = "stop it, or set ROS_DOMAIN_ID or another station name"
+    return InputError(f"station {name}", f"runs already in domain {_domain()}", hint)
+
+
+@contextmanager
+def only_one(station: str) -> Iterator[None]:
+    """Hold a station's name in this domain, on this machine, for as long as the process lives.
+
+    Raises
+    ------
+    InputError
+        A station of this name runs already.
+    """
+    with socket.socket(socket.AF_UNIX) as name:
+        try:
+            name.bind(f"\0deepseis/{_domain()}/{station}")  # abstract: leaves no file behind
+        except OSError:
+            raise _runs_already(f"/{station}") from None
+        yield
 
 
 @contextmanager
@@ -134,7 +158,11 @@ def run_station(
     supervisor = Supervisor(build_graph(graph), folder, namespace=config.station)
     members = [spec.name for spec in supervisor.specs if spec.name != "if_source"]
     started, reason = time.monotonic(), "end of the source"
-    with terminate_is_interrupt(), StationWatch(config.station, say) as watch:
+    with (
+        only_one(config.station),
+        terminate_is_interrupt(),
+        StationWatch(config.station, say) as watch,
+    ):
         watch.refuse_namesake()
         say(f"recording to {graph.record_dir}" if graph.record_dir else "not recording")
         with running(supervisor):

@@ -129,8 +129,8 @@ class PvtEngine:
         return round(self._attempt * self.config.first_fix_step * self.sample_rate_hz) - 1
 
     def newest_sample(self) -> int:
-        """Return the last sample that any satellite has published through."""
-        return int(self.store.published.max(initial=-1))
+        """Return the last sample of any satellite's integrations; promises do not count."""
+        return int(self.store.end.max(initial=0)) - 1
 
     @staticmethod
     def utc_ns(observations: Observations) -> int:

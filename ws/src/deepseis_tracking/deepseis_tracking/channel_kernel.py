@@ -54,7 +54,7 @@ def _start_mode(state: Any, mode: int) -> None:
 
 @njit(cache=True, nogil=True)
 def _restart(state: Any, residual_hz: float) -> None:
-    """Back to pull-in where the signal still is; transmit time survives, bit edges too."""
+    """Back to pull-in where the signal still is; transmit time survives, and with it bit edges."""
     _start_mode(state, PULL_IN)
     state.slope_hz += residual_hz
     state.nco_hz = state.slope_hz
@@ -63,6 +63,8 @@ def _restart(state: Any, residual_hz: float) -> None:
     state.unlocked_s = 0.0
     state.polarity = 0
     state.pending_flags |= SLIP
+    if state.transmit_ms < 0:
+        state.bit_offset = -1  # no subframe has confirmed it
 
 
 @njit(cache=True, nogil=True)

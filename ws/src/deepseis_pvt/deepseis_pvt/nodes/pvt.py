@@ -32,6 +32,9 @@ from deepseis_pvt.pvt_engine import PvtConfig, PvtEngine
 from deepseis_pvt.rinex_obs import RinexStation
 from deepseis_pvt.spp import SppConfig
 
+IN_FLIGHT_S = 0.04
+"""Realtime: what the newest satellite is ahead of others that are not late [s]."""
+
 
 @dataclass(frozen=True)
 class NodeConfig:
@@ -132,7 +135,8 @@ class PvtNode(Node):
             self.progressed = now  # this process itself stood still: its inputs are queued
         self.looked = now
         if now - self.progressed > self.config.pvt_deadline_ms * 1e-3:
-            self.work(self.engine.newest_sample())
+            in_flight = round(IN_FLIGHT_S * self.config.sample_rate_hz)
+            self.work(self.engine.newest_sample() - in_flight)
 
     def work(self, force_through: int | None = None) -> None:
         """Work through all epochs that the watermarks allow and publish, the watermark last."""
