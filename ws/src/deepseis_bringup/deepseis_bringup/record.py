@@ -19,7 +19,7 @@ from deepseis_bringup.watch import GraphWatch
 from deepseis_core.errors import InputError
 
 WAIT_SECONDS = 5.0
-"""How long to look for a first topic [s]."""
+"""How long to look for a first topic, and for who publishes the last ones [s]."""
 SETTLE_SECONDS = 1.0
 """A graph is known once nothing new has appeared for so long [s]."""
 
@@ -52,14 +52,23 @@ def known_topic(name: str, station: str | None = None) -> str | None:
     return None
 
 
-def published_topics(watch: GraphWatch, station: str | None) -> dict[str, str]:
-    """Return full names of the topics that somebody publishes, with their entries in `TYPES`."""
+def topics_seen(watch: GraphWatch, station: str | None) -> tuple[dict[str, str], bool]:
+    """Return full names of the topics that somebody publishes, with their entries in `TYPES`.
+
+    The second value tells whether there is a topic that is only subscribed to: then a part of
+    the graph has not been discovered yet.
+    """
     found: dict[str, str] = {}
+    waiting = False
     for name, types in watch.node.get_topic_names_and_types():
         entry = known_topic(name, station)
-        if entry and TYPES[entry][0] in types and watch.node.count_publishers(name):
+        if not entry or TYPES[entry][0] not in types:
+            continue
+        if watch.node.count_publishers(name):
             found[name] = entry
-    return found
+        else:
+            waiting = True
+    return found, waiting
 
 
 def find_topics(watch: GraphWatch, station: str | None) -> dict[str, str]:
@@ -71,12 +80,15 @@ def find_topics(watch: GraphWatch, station: str | None) -> dict[str, str]:
         Nobody publishes anything.
     """
     found: dict[str, str] = {}
-    deadline = time.monotonic() + WAIT_SECONDS
+    deadline = limit = time.monotonic() + WAIT_SECONDS
     while time.monotonic() < deadline:
         watch.poll()
-        now = published_topics(watch, station)
+        now, waiting = topics_seen(watch, station)
         if now.keys() - found.keys():
             found = now
+            deadline = time.monotonic() + SETTLE_SECONDS
+            limit = time.monotonic() + WAIT_SECONDS
+        if waiting and time.monotonic() < limit:
             deadline = time.monotonic() + SETTLE_SECONDS
         time.sleep(0.05)
     if not any(not entry.startswith("/") for entry in found.values()):
