@@ -51,6 +51,9 @@ def test_the_example_shows_the_defaults():
     for kind, values in text["parameters"].items():
         known = {k: v for config_type in SETTINGS[kind] for k, v in vars(config_type()).items()}
         for key, value in values.items():
+            if key == "latency_slots":  # a station in real time has a default of its own
+                assert default.options.parameters[kind][key] == value
+                continue
             assert (value, type(value)) == (known[key], type(known[key])), key
 
 

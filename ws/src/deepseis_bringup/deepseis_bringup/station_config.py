@@ -21,6 +21,10 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 SOURCE_KEYS = (*(item.name for item in fields(Selection)), "pace", "window_blocks")
 
 
+REALTIME_LATENCY_SLOTS = 4
+"""Time for a cold search of 32 satellites while the clock runs: 2 s at 0.5 s a slot."""
+
+
 @dataclass(frozen=True)
 class StationConfig:
     """What a station's file says; ``config/station.yaml`` explains every value."""
@@ -46,6 +50,9 @@ class StationConfig:
         pacing = {k: v for k, v in self.source.items() if k in ("pace", "window_blocks")}
         parameters = {kind: dict(values) for kind, values in self.parameters.items()}
         parameters["if_source"] = {**pacing, **parameters.get("if_source", {})}
+        if self.mode == "realtime":
+            search = parameters.get("acquisition", {})
+            parameters["acquisition"] = {"latency_slots": REALTIME_LATENCY_SLOTS, **search}
         return RunOptions(
             mode=self.mode,
             satellites=self.satellites,

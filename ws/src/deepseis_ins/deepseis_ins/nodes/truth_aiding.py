@@ -89,8 +89,8 @@ class TruthAidingNode(Node):
             self.publisher.publish(codecs.DOPPLER_AIDING.encode(aiding, utc_ns))
             self.spans += 1
             through = self.aider.valid_through
-            self.flow.send(through, through, utc_ns=self.clock.utc_ns(through))
             self.report(aiding.satellites)
+            self.flow.send(through, through, utc_ns=self.clock.utc_ns(through))
         source = self.flow.others.get("if_source")
         if source is None or not source.end_of_stream or self.flow.ended:
             return
@@ -108,7 +108,7 @@ class TruthAidingNode(Node):
         text = f"aiding {len(satellites)}: {' '.join(satellites)}"
         utc_ns = self.clock.utc_ns(through)
         self.diagnostics.publish(
-            diagnostics.array("truth_aiding", level, text, {"spans": self.spans}, utc_ns)
+            diagnostics.encoded("truth_aiding", level, text, {"spans": self.spans}, utc_ns)
         )
 
 
