@@ -81,7 +81,8 @@ def test_without_a_supervisor_the_source_names_the_dead_member(recording, satell
                 until(lambda: watch.poll() > RATE)
             nodes.processes["pvt"].kill()
             # DDS believes in a silent participant for its lease of 20 s.
-            nodes.processes["if_source"].wait(timeout=35)
+            nodes.processes["if_source"].wait(timeout=70)
+            nodes.processes["trackers"].wait(timeout=30)
         finally:
             nodes.stop()
     assert nodes.processes["if_source"].returncode == 1

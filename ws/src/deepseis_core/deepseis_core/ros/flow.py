@@ -161,4 +161,5 @@ class Flow:
         """Tell everybody that this node gives up, and end the process."""
         msg = Watermark(node=self.name, ready=self.ready, error=reason)
         self.publisher.publish(msg)
+        self.publisher.wait_for_all_acked(Duration(seconds=2))  # the dead never acknowledge
         self.process.stop(1, reason)
