@@ -80,7 +80,7 @@ def test_without_a_supervisor_the_source_names_the_dead_member(recording, satell
             with GraphWatch(environment) as watch:
                 until(lambda: watch.poll() > RATE)
             nodes.processes["pvt"].kill()
-            # DDS believes in a silent participant for its lease of 20 s.
+            # DDS believes in a silent participant for its lease of 8 s.
             nodes.processes["if_source"].wait(timeout=70)
             nodes.processes["trackers"].wait(timeout=30)
         finally:

@@ -14,6 +14,7 @@ from deepseis_bringup.graph import build_graph
 from deepseis_bringup.runs import RunOptions, Selection, graph_config
 from deepseis_bringup.supervisor import Supervisor, own_domain, running
 from deepseis_bringup.watch import GraphWatch
+from deepseis_core.types import TrackingFlag
 from deepseis_frontend.if_open import open_source
 
 pytestmark = [pytest.mark.launch, pytest.mark.timeout(60)]
@@ -57,10 +58,11 @@ def test_in_real_time_the_bytes_are_those_of_lockstep(sky, tmp_path):
 def run_with_a_pause(victim, at, recording, folder, satellites, **options):
     """Run in realtime until 2 s after the victim has stood still for half a second."""
     selection = Selection(str(recording.if_path), length_s=at + 2.0)
+    parameters = assistance(recording) | options.pop("parameters", {})
     given = RunOptions(
         mode="realtime",
         satellites=satellites,
-        parameters=assistance(recording),
+        parameters=parameters,
         record_if=False,
         **options,
     )
@@ -125,3 +127,36 @@ def test_when_one_tracker_stands_still_the_others_go_on_and_it_is_counted(record
     assert int(levels[-1][1]["forced"]) >= len(missing)
     assert levels[-1][0] == 1  # a warning
     assert victim in epochs[-1][1]
+
+
+def test_when_the_aiding_stands_still_the_loops_go_on_without_it_and_say_so(sky, tmp_path):
+    truth = {"truth_file": str(sky.truth_path), "nav_file": str(sky.nav_path)}
+    run = run_with_a_pause(
+        "truth_aiding",
+        4.0,
+        sky,
+        tmp_path,
+        sky.satellites,
+        aiding="truth",
+        parameters={"truth_aiding": truth},
+    )
+    level, _, values = run.statuses()["trackers"][-1]
+    assert level == 1
+    assert 10 <= int(values["aid_missed"]) <= 60  # blocks
+    for name in sky.satellites:
+        batches = [
+            decode("deepseis_msgs/msg/TrackingEpochs", data)
+            for data in run.payloads()[f"/tracking/{name}/epochs"]
+        ]
+        start = np.concatenate([b.sample_index for b in batches]) / RATE
+        flags = np.concatenate([b.flags for b in batches])
+        aided = np.isfinite(np.concatenate([b.aid_doppler_hz for b in batches]))
+        missed = start[flags & TrackingFlag.AID_MISSED != 0]
+        # Stopped within some tenths of a second after 4 s.
+        assert missed.size > 0
+        assert missed.min() > 3.9
+        assert missed.max() < 5.5
+        assert aided[(start > 2.0) & (start < 3.9)].all()
+        assert not aided[start > 3.9].all()
+        assert aided[start > 5.6].all()
+        assert (flags[start > 2.0] & TrackingFlag.PHASE_LOCK).all()

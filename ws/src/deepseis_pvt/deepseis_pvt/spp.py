@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from deepseis_core.config import setting
 from deepseis_core.constants import L1_WAVELENGTH
@@ -105,7 +105,7 @@ class SppSolver:
                 0.0,
             ]
         )
-        self._limits = [float(chi2.isf(c.false_alarm_probability, n)) for n in range(1, 65)]
+        self._limits = [float(chdtri(n, c.false_alarm_probability)) for n in range(1, 65)]
 
     def solve(
         self,

@@ -105,4 +105,6 @@ def run(build: Callable[[Process], None], name: str, args: list[str] | None = No
     for node in process.nodes:
         node.destroy_node()
     rclpy.try_shutdown()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # everything is done: no signal changes the status
     sys.exit(status)
