@@ -45,7 +45,8 @@ def test_in_real_time_the_bytes_are_those_of_lockstep(sky, tmp_path):
         for mode in ("lockstep", "realtime")
     }
     live, replayed = runs["realtime"], runs["lockstep"]
-    assert LENGTH <= live.figures["graph_time_s"] < LENGTH + 2.0
+    # Never faster than the clock; slower only while a busy machine catches up.
+    assert LENGTH <= live.figures["graph_time_s"] < 2 * LENGTH
     one, other = live.payloads(), replayed.payloads()
     assert one["/if/samples"] == other["/if/samples"]
     assert len(other["/gnss/observations"]) > 150

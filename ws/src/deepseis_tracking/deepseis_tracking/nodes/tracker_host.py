@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,7 +75,8 @@ class TrackerHost:
             process.add(satellite_node)
         self.diagnostics = self.flow.publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
         self.clock: SampleClock | None = None
-        self.second, self.arrived, self.looked = -1, 0.0, 0.0
+        self.second, self.looked = -1, 0.0
+        self.arrivals: deque[float] = deque()
         self.flow.follow(["if_source"], self.on_source)
         if self.config.wait_acquisition:
             self.flow.follow(["acquisition"], self.on_acquisition)
@@ -98,8 +100,7 @@ class TrackerHost:
 
     def on_if_block(self, block: IfBlock, utc_ns: int) -> None:
         """Queue the block; work through all that the inputs' watermarks allow."""
-        if not self.engine.blocks:
-            self.arrived = time.monotonic()
+        self.arrivals.append(time.monotonic())
         self.engine.push_block(block)
         if self.clock is None:
             rate = block.sample_rate_hz
@@ -127,21 +128,21 @@ class TrackerHost:
 
     def on_deadline(self) -> None:
         """Realtime: wait no longer than the deadline, but for the first acquisition."""
-        if self.engine.waiting_for() == "acquisition" and not self.engine.is_tracking:
-            return
         now = time.monotonic()
-        if now - self.looked > 0.1:
-            self.arrived = now  # this process itself stood still: its inputs are queued
+        if now - self.looked > 0.1:  # this process itself stood still: its inputs are queued
+            self.arrivals = deque([now] * len(self.arrivals))
         self.looked = now
-        waited = now - self.arrived
-        if self.engine.blocks and waited > self.config.aiding_deadline_ms * 1e-3:
+        overdue = now - self.config.aiding_deadline_ms * 1e-3
+        while self.arrivals and self.arrivals[0] < overdue:
+            if self.engine.waiting_for() == "acquisition" and not self.engine.is_tracking:
+                break
             self.work(force=True)
 
     def work(self, *, force: bool = False) -> None:
         """Work through all blocks whose inputs are there and publish."""
         while (output := self.engine.advance(force=force)) is not None:
             force = False
-            self.arrived = time.monotonic()
+            self.arrivals.popleft()
             self.publish(output)
         if self.engine.blocks:
             self.flow.flush()
