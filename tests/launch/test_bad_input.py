@@ -86,6 +86,12 @@ def test_replay_refuses_a_bag_without_samples(recorded, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+def test_process_refuses_a_part_of_a_bag(recorded, tmp_path):
+    result = command("process", recorded.bag, "--length", 2, "-o", tmp_path / "run")
+    fails_in_one_line(result, recorded.bag, "played whole")
+    assert not (tmp_path / "run").exists()
+
+
 def test_a_folder_with_something_in_it_is_not_touched(place):
     result = command("process", place / "short.bin", "-o", place / "full")
     fails_in_one_line(result, "full", "exists and is not empty")

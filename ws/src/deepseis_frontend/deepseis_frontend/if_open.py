@@ -59,6 +59,8 @@ def open_source(selection: Selection) -> IfSource:
     if not path.exists():
         raise InputError(path, "does not exist")
     if path.suffix == ".mcap" or (path.is_dir() and any(path.glob("*.mcap"))):
+        if selection.start_s or selection.length_s:
+            raise InputError(path, "is a bag, played whole", "leave out start and length")
         return IfBag(path)
     given: dict[str, Any] = {}
     if selection.format:
