@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from deepseis_bringup import runs
-from deepseis_sim.scenario import StillConfig, simulate_still
+from deepseis_sim.still_recording import StillConfig, simulate_still
 
 
 def measure(recording: Any, satellites: tuple[str, ...], record: bool, count: int) -> list[float]:

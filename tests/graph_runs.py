@@ -17,7 +17,7 @@ from deepseis_bringup.runs import RunOptions, Selection, run_recording
 from deepseis_core.mcap_scan import McapScan
 from deepseis_core.ros.cdr import message_class
 from deepseis_sim.recording import SimulatedRecording
-from deepseis_sim.scenario import StillConfig, simulate_still
+from deepseis_sim.still_recording import StillConfig, simulate_still
 
 PROJECT = Path(__file__).resolve().parent.parent
 RATE = 4e6

@@ -9,7 +9,7 @@ from deepseis_core.errors import InputError
 from deepseis_core.mcap_scan import McapScan
 from deepseis_frontend.if_bag import IfBag
 from deepseis_frontend.if_file import IfFile
-from deepseis_sim.scenario import StillConfig
+from deepseis_sim.still_recording import StillConfig
 
 CONFIG = StillConfig(duration=0.3, seed=5)
 

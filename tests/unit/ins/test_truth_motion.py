@@ -74,7 +74,7 @@ def test_the_simulators_own_layout_is_read(tmp_path):
 
 
 def test_deepseis_sim_writes_that_layout(tmp_path):
-    scenario = pytest.importorskip("deepseis_sim.scenario")
+    scenario = pytest.importorskip("deepseis_sim.still_recording")
     config = scenario.StillConfig(duration=0.1)
     recording = scenario.simulate_still(config, tmp_path)
     truth = TruthMotion(recording.truth_path)

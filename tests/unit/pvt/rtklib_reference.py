@@ -50,10 +50,8 @@ def settings(elevation_mask_deg: float, atmosphere: bool) -> rtk.prcopt_t:
     options.ionoopt = rtk.IONOOPT_BRDC if atmosphere else rtk.IONOOPT_OFF
     options.tropopt = rtk.TROPOPT_SAAS if atmosphere else rtk.TROPOPT_OFF
     options.elmin = np.radians(elevation_mask_deg)
-    # Code noise 0.3 m and 0.3 m/sqrt(sin(elevation)), without terms of C/N0 and receiver.
+    # Code noise 0.3 m and 0.3 m/sqrt(sin(elevation)).
     options.eratio[0], options.err[1], options.err[2] = 100.0, 0.003, 0.003
-    for i in (5, 6, 7):
-        options.err[i] = 0.0
     return options
 
 

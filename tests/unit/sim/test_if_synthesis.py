@@ -69,9 +69,7 @@ def test_kernel_equals_the_formulas_but_for_rounding(rate):
     for k in range(2):
         phase, chips = signal(time, k)
         twin = twin + chips * np.exp(2j * np.pi * phase)
-    scale = synthesizer.amplitude(np.array(45.0)) / np.float64(
-        1 / synthesizer._sampling.inverse_step
-    )
+    scale = synthesizer.amplitude(np.array(45.0)) / synthesizer.step(0, 1)[0]
     difference = np.abs((i + 1j * q) / scale - twin)
     # A chip's edge may fall on the other side of a sample (code phase is good to 1e-5 chip):
     # such samples are few. All else differs by the chord of the phase, 2577 Hz/s, in a tile.

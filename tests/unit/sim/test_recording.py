@@ -15,8 +15,8 @@ from deepseis_core.lnav_decoder import LnavDecoder, SubframeEvent
 from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_sim.if_synthesis import IfSynthesizer
 from deepseis_sim.recording import FrontEnd, IfStream
-from deepseis_sim.scenario import StillConfig, simulate_still, still_model
 from deepseis_sim.signal_model import SignalModel
+from deepseis_sim.still_recording import StillConfig, simulate_still, still_model
 
 SHORT = StillConfig(duration=0.3)
 
@@ -61,6 +61,14 @@ def test_chunks_of_any_size_give_the_same_bytes(recording, chunk_segments):
     stream = IfStream(still_model(SHORT), FrontEnd(IfFormat.from_text("iq2")), seed=1)
     data = b"".join(part for _, part in stream.chunks(1_200_000, chunk_segments=chunk_segments))
     assert data == recording.if_path.read_bytes()
+
+
+@pytest.mark.parametrize("chunk", [80_000, 333_332])
+def test_spans_that_know_no_segments_give_the_same_bytes(recording, chunk):
+    stream = IfStream(still_model(SHORT), FrontEnd(IfFormat.from_text("iq2")), seed=1)
+    starts = range(0, 1_200_000, chunk)
+    data = [stream.packed(at, min(chunk, 1_200_000 - at)).tobytes() for at in starts]
+    assert b"".join(data) == recording.if_path.read_bytes()
 
 
 def test_descriptor_tells_format_rate_and_utc_of_the_start(recording):

@@ -10,7 +10,9 @@ from deepseis_core.lnav import encode_frame_bits
 from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_sim.constellation import visible_satellites
 from deepseis_sim.nominal_constellation import nominal_constellation
+from deepseis_sim.oscillator import Oscillator, OscillatorConfig
 from deepseis_sim.signal_model import SignalModel, linear_clock, still
+from deepseis_sim.slow_table import SlowTable
 
 TIME = GpsTime(2399, 346258 * 10**9)
 PLACE = np.deg2rad(35.681298), np.deg2rad(139.766247)
@@ -56,6 +58,19 @@ def test_cubics_follow_the_phase_to_a_thousandth_of_a_cycle(visible, amplitude, 
     fourth = amplitude * (2 * np.pi * frequency_hz) ** 4 / L1_WAVELENGTH
     assert worst < 2e-7 + 0.035 / 24 * 2 * SPAN**4 * fourth
     assert worst < 0.001
+
+
+@pytest.mark.parametrize("kind", ["ocxo", "rubidium", "tcxo"])
+def test_cubics_follow_a_noisy_oscillator(visible, kind):
+    clock = Oscillator(OscillatorConfig(kind=kind), 1)
+    model = SignalModel(visible, TIME, still(TOKYO), clock=clock)
+    segments = model.segments(5, 300, SPAN)
+    share = np.linspace(0.0, 1.0, 9)
+    time = ((np.arange(5, 305)[:, None] + share) * SPAN).ravel()
+    truth = model.carrier_phase_cycles(time).reshape(300, 9, -1).transpose(2, 0, 1)
+    error = segments.carrier_phase_cycles @ (share ** np.arange(4)[:, None]) - truth
+    # The oscillator's own cubics meet at multiples of 10 ms, within our segments of 9.984 ms.
+    assert np.abs(error).max() < 0.0005
 
 
 def test_phase_is_continuous_from_segment_to_segment_and_chunk_to_chunk(visible):
@@ -119,6 +134,41 @@ def test_doppler_is_the_derivative_of_the_phase_under_motion(visible):
     # Simpson's rule over the derivative would hide an error: differences of the phase instead.
     rate = (phase[65:-63:64] - phase[63:-65:64]) / (2 * step)
     np.testing.assert_allclose(model.carrier_doppler_hz(time[1:-1]), rate, rtol=0, atol=1e-3)
+
+
+def test_doppler_with_a_noisy_fast_clock_is_the_phases_difference(visible):
+    clock = Oscillator(OscillatorConfig(kind="ocxo", drift=1e-5), 1)
+    model = SignalModel(visible, TIME, sine(0.12, 2.0), clock=clock)
+    time, h = np.linspace(0.0, 1.0, 41), 5e-4
+    phase = [model.carrier_phase_cycles(time + shift) for shift in (-h, h)]
+    delays, doppler = model.delays_and_doppler(time)
+    # Rounding of 1e8 cycles over 1 ms, 3e-5 Hz and more, and 5e-5 Hz of the differences.
+    np.testing.assert_allclose(doppler, (phase[1] - phase[0]) / (2 * h), rtol=0, atol=3e-4)
+    np.testing.assert_array_equal(delays.range, model.delays(time).range)
+    np.testing.assert_array_equal(doppler, model.carrier_doppler_hz(time))
+
+
+def test_cn0_may_change_from_segment_to_segment(visible):
+    def cn0(time):
+        return np.where(time[:, None] < 0.1, 40.0, -np.inf) + np.zeros(len(visible))
+
+    model = SignalModel(visible, TIME, still(TOKYO), cn0=cn0)
+    table = model.segments(0, 20, 0.01).cn0_dbhz
+    assert (table[:, :10] == 40.0).all()
+    assert np.isinf(table[:, 10:]).all()
+    power = model.carriers_hz(np.array([0.05, 0.2]))
+    np.testing.assert_allclose(power, [len(visible) * 1e4, 0.0])
+    constant = SignalModel(visible, TIME, still(TOKYO)).segments(0, 2, 0.01).cn0_dbhz
+    np.testing.assert_array_equal(constant[:, 1], [item.cn0_dbhz for item in visible])
+
+
+def test_a_slow_table_is_exact_for_quadratics_and_knows_no_history():
+    table = SlowTable(lambda number: np.array([3.0, -0.5 * number + 0.1 * number**2]), 10.0)
+    time = np.array([0.0, 3.0, 17.5, -4.0, 1000.0])
+    expected = np.stack([3.0 + 0 * time, -0.05 * time + 0.001 * time**2], axis=1)
+    np.testing.assert_allclose(table(time), expected, rtol=0, atol=1e-12)
+    for k, t in enumerate(time):
+        np.testing.assert_array_equal(table(np.array([t]))[0], table(time)[k])
 
 
 def test_atmosphere_can_be_left_out(visible):

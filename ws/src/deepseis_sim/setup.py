@@ -8,9 +8,9 @@ PACKAGE = "deepseis_sim"
 
 
 def shared_files() -> list[tuple[str, list[str]]]:
-    """List launch, parameter and scenario files for share/deepseis_sim."""
+    """List launch and parameter files for share/deepseis_sim."""
     folders: dict[str, list[str]] = {}
-    for folder in ("launch", "config", "scenarios"):
+    for folder in ("launch", "config"):
         for path in sorted(Path(folder).rglob("*.*")):
             folders.setdefault(f"share/{PACKAGE}/{path.parent}", []).append(str(path))
     return list(folders.items())
@@ -24,7 +24,7 @@ setup(
     maintainer="DeepSeis developers",
     maintainer_email="deepseis@posteo.net",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={"": ["py.typed", "*.yaml", "*.csv", "*.txt", "*.json"]},
+    package_data={"": ["py.typed", "*.yaml", "scenarios/*.yaml", "*.csv", "*.txt", "*.json"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

@@ -1,83 +1,91 @@
-"""Command: sim, with one subcommand for each scenario."""
+"""Command: sim."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from deepseis_bringup.cli_common import add_command, one_line_errors
-
-SHORT_SECONDS = 24.0
-"""Enough for subframes 1 to 3, from 2 s before the first: a first fix from what was decoded."""
-
-sim = typer.Typer(
-    help="Simulate a scenario: makes an input bag, with the truth beside it.",
-    no_args_is_help=True,
-)
-
-Folder = Annotated[
-    Path, typer.Option("-o", "--output", help="Folder for the result, new or empty.")
-]
+from deepseis_bringup.cli_common import add_command, into_run_folder, one_line_errors, say
 
 
-def still(
-    output: Folder,
-    short: Annotated[
-        bool, typer.Option("--short", help=f"{SHORT_SECONDS:g} s instead of 40 s.")
-    ] = False,
-    duration: Annotated[
-        float | None, typer.Option(help="Length of the signal [s].", min=0.1)
+def sim(
+    scenario: Annotated[
+        str, typer.Argument(help="Name of a scenario, or a YAML file; none: list them.")
+    ] = "",
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Folder, new or empty; default runs/<UTC>."),
     ] = None,
+    short: Annotated[bool, typer.Option("--short", help="The scenario's short form.")] = False,
     seed: Annotated[
-        int, typer.Option(help="Of noise, phases and constellation: same seed, same bytes.")
-    ] = 1,
+        int | None, typer.Option(help="Of all that is drawn by chance: same seed, same bytes.")
+    ] = None,
+    signal: Annotated[
+        bool | None,
+        typer.Option("--if/--no-if", help="Make IF samples, or observations in their place."),
+    ] = None,
     if_format: Annotated[
         str, typer.Option(help="Packing of the samples: preset or text, see docs/formats.md.")
-    ] = "iq2",
-    rate: Annotated[float, typer.Option(help="Sampling rate [Hz].")] = 4.0e6,
-    if_hz: Annotated[float, typer.Option("--if-hz", help="Intermediate frequency [Hz].")] = 0.0,
-    nav: Annotated[
-        Path | None,
-        typer.Option(help="RINEX navigation file; default: a nominal constellation."),
+    ] = "",
+    rate: Annotated[float | None, typer.Option(help="Sampling rate [Hz].")] = None,
+    if_hz: Annotated[
+        float | None, typer.Option("--if-hz", help="Intermediate frequency [Hz].")
     ] = None,
     raw: Annotated[
         bool, typer.Option("--raw", help="Leave the raw IF file if.bin and its descriptor too.")
     ] = False,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Change a setting, such as imu.grade=mti-g; may be repeated."),
+    ] = None,
 ) -> None:
-    r"""Simulate an antenna that stands still under an open sky.
+    r"""Simulate a scenario of the test bench: an input bag, with the truth beside it.
 
-    Starts 2 s before a subframe 1, so that a receiver has a position after 20 s. Leaves bag/
-    (`./deepseis replay DIR` runs it), truth.npz, nav.rnx and summary.json.
+    Leaves bag/ (`./deepseis replay DIR` runs the graph on it), truth.npz, nav.rnx, RINEX of the
+    base, summary.json and report.html. Scenarios are described in docs/scenarios.md.
 
     \b
-    Example:
-      ./deepseis sim still --short --seed 7 --if-format iq8 -o runs/input
+    Examples:
+      ./deepseis sim sine-2hz --short -o runs/input
+      ./deepseis sim quake --set imu.grade=mti-g --seed 7
     """
     with one_line_errors():
-        from deepseis_bringup import simulate
-        from deepseis_bringup.runs import new_run_folder
-        from deepseis_sim.scenario import StillConfig
+        from deepseis_sim.scenario import load_scenario, scenario_names
 
-        default = StillConfig()
-        config = replace(
-            default,
-            duration=duration or (SHORT_SECONDS if short else default.duration),
-            seed=seed,
-            if_format=if_format,
-            sample_rate_hz=rate,
-            intermediate_frequency_hz=if_hz,
-            nav_file=str(nav or ""),
-        )
-        folder = new_run_folder(output)
-        summary = simulate.still(config, folder, keep_raw=raw)
+        if not scenario:
+            for name in scenario_names():
+                typer.echo(f"{name:14} {load_scenario(name).title}")
+            return
+        settings = list(changes or [])
+        given = {
+            "seed": seed,
+            "signal": signal,
+            "receiver.if_format": if_format or None,
+            "receiver.sample_rate_hz": rate,
+            "receiver.intermediate_frequency_hz": if_hz,
+        }
+        settings += [f"{key}={_yaml(value)}" for key, value in given.items() if value is not None]
+        loaded = load_scenario(scenario, short=short, settings=settings)
+
+    def work(folder: Path) -> None:
+        from deepseis_bringup.simulate import simulate
+
+        summary = simulate(loaded, folder, keep_raw=raw)
+        if summary["motion_stands_in"]:
+            say(f"{loaded.name}: its record is not at hand, an artificial motion stands in")
         typer.echo(f"satellites = {' '.join(summary['satellites'])}")
-        typer.echo(str(folder))
+
+    into_run_folder(output, work)
+
+
+def _yaml(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f'"{value}"' if isinstance(value, str) else str(value)
 
 
 def register(app: typer.Typer) -> None:
     """Add the command to the application."""
-    add_command(sim, still)
-    app.add_typer(sim, name="sim")
+    add_command(app, sim)

@@ -15,6 +15,11 @@ ALL_SATELLITES = tuple(f"G{prn:02d}" for prn in range(1, 33))
 
 TYPES: Mapping[str, tuple[str, str]] = {
     "if/samples": ("deepseis_msgs/msg/IfBlock", "stream"),
+    "imu/data_raw": ("sensor_msgs/msg/Imu", "stream"),
+    "ldv/velocity": ("deepseis_msgs/msg/LdvVelocity", "stream"),
+    "base/observations": ("deepseis_msgs/msg/Observations", "stream"),
+    "station": ("deepseis_msgs/msg/Station", "latched"),
+    "truth": ("deepseis_msgs/msg/Truth", "stream"),
     "acquisition/request": ("deepseis_msgs/msg/AcquisitionRequest", "latched"),
     "acquisition/result": ("deepseis_msgs/msg/AcquisitionResult", "latched"),
     "tracking/<sat>/epochs": ("deepseis_msgs/msg/TrackingEpochs", "stream"),
@@ -25,7 +30,7 @@ TYPES: Mapping[str, tuple[str, str]] = {
     "aiding/doppler": ("deepseis_msgs/msg/DopplerAiding", "stream"),
     "/diagnostics": ("diagnostic_msgs/msg/DiagnosticArray", "stream"),
 }
-"""Type and quality of service of every topic that is recorded."""
+"""Type and quality of service of every topic that is recorded or played."""
 
 KINDS = ("if_source", "acquisition", "tracker", "pvt", "truth_aiding", "recorder")
 """Kinds of nodes; overrides of parameters go by kind."""

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
 from html import escape
-from importlib import resources
 from typing import Any, Final
 
 from deepseis_bringup import report_loops as loops
 from deepseis_bringup import report_position as position
 from deepseis_bringup import report_signal as signal
+from deepseis_bringup.report_document import document, place, switches
 from deepseis_bringup.report_plot import Colours, Figure
-from deepseis_bringup.report_style import SCRIPT, STYLE
 from deepseis_bringup.report_tables import (
     diagnostics_table,
     files_table,
@@ -43,7 +41,7 @@ def page(measures: Measures, summary: Mapping[str, Any], title: str) -> str:
     colours = Colours(measures.run.satellites)
     panels: list[dict[str, Any]] = []
     body = [
-        f"<h2>{escape(name)}</h2>{_figures(figures, panels, colours)}"
+        f"<h2>{escape(name)}</h2>{place(figures, panels, colours)}"
         for name, figures in sections(measures, colours)
         if figures
     ]
@@ -51,19 +49,8 @@ def page(measures: Measures, summary: Mapping[str, Any], title: str) -> str:
         table = satellites_table(measures, colours)
         body.insert(0, f"<h2>Satellites</h2><figure>{table}</figure>")
     body.append(_records(measures, summary))
-    data = json.dumps(panels, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta name="viewport" content="width=device-width,initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>"
-        f"{_head(measures, summary, title)}{_switches(measures, colours)}"
-        f"<main>{''.join(body)}</main>"
-        "<footer>All times count from the first sample of the run. Drag to zoom, double-click to "
-        "go back; the buttons at the top show or hide a satellite everywhere.</footer>"
-        f"<script>{_plotly()}</script>"
-        f'<script type="application/json" id="figures">{data}</script>'
-        f"<script>{SCRIPT}</script></body></html>\n"
-    )
+    head = f"{_head(measures, summary, title)}{switches(measures.run.satellites, colours)}"
+    return document(title, head, body, panels)
 
 
 def sections(measures: Measures, colours: Colours) -> list[tuple[str, list[Figure]]]:
@@ -109,32 +96,6 @@ def sections(measures: Measures, colours: Colours) -> list[tuple[str, list[Figur
     return [(name, [f for f in figures if f is not None]) for name, figures in groups]
 
 
-def _figures(figures: list[Figure], panels: list[dict[str, Any]], colours: Colours) -> str:
-    """Place figures and append their data to ``panels``."""
-    parts = []
-    for figure in figures:
-        drawings = []
-        for panel in figure.panels:
-            number = len(panels)
-            panels.append({"data": panel.data, "layout": panel.layout, "height": panel.height})
-            plot = f'<div data-panel="{number}" style="min-height:{panel.height}px"></div>'
-            if figure.grid:
-                colour = colours[panel.satellite]
-                plot = (
-                    f'<div data-satellite="{panel.satellite}"><h4 style="color:{colour}">'
-                    f"{panel.satellite}</h4>{plot}</div>"
-                )
-            drawings.append(plot)
-        inside = "".join(drawings)
-        inside = f'<div class="grid">{inside}</div>' if figure.grid else inside
-        parts.append(
-            f"<figure{' class=half' if figure.half else ''}><figcaption>"
-            f"<h3>{escape(figure.title)}</h3>"
-            f'<p class="caption">{escape(figure.caption)}</p></figcaption>{inside}</figure>'
-        )
-    return f'<div class="figures">{"".join(parts)}</div>'
-
-
 def _head(measures: Measures, summary: Mapping[str, Any], title: str) -> str:
     run = measures.run
     start = datetime.fromtimestamp(0, UTC) + timedelta(microseconds=run.start_utc_ns // 1000)
@@ -172,15 +133,6 @@ def verdict(measures: Measures, summary: Mapping[str, Any]) -> str:
     return text
 
 
-def _switches(measures: Measures, colours: Colours) -> str:
-    buttons = "".join(
-        f'<button type="button" value="{s}" aria-pressed="true">'
-        f'<i style="background:{colours[s]}"></i>{s}</button>'
-        for s in measures.run.satellites
-    )
-    return f"<nav><div><span>Show</span>{buttons}</div></nav>" if buttons else ""
-
-
 def _records(measures: Measures, summary: Mapping[str, Any]) -> str:
     """List what the run was made of and left behind."""
     made_of = {k: v for k, v in summary.items() if k.startswith(PROVENANCE) or "sha256" in k}
@@ -200,8 +152,3 @@ def _records(measures: Measures, summary: Mapping[str, Any]) -> str:
         "</details></figure></div>"
     )
     return "".join(parts)
-
-
-def _plotly() -> str:
-    script = resources.files("plotly").joinpath("package_data/plotly.min.js")
-    return script.read_text(encoding="utf-8").replace("</script", "<\\/script")

@@ -242,7 +242,7 @@ def demo(
 ) -> dict[str, Any]:
     """Simulate a still antenna, run the graph on the signal over DDS, report."""
     from deepseis_bringup.report import write_report
-    from deepseis_sim.scenario import StillConfig, simulate_still
+    from deepseis_sim.still_recording import StillConfig, simulate_still
 
     config = replace(StillConfig(), duration=duration, if_format=if_format, seed=seed)
     with progress_bar("making the signal", duration) as show:
@@ -260,7 +260,10 @@ def demo(
 def replay(
     bag: Path, folder: Path, options: RunOptions, *, title: str = "DeepSeis replay"
 ) -> dict[str, Any]:
-    """Run the graph again on a recorded bag's samples, with the parameters of the recorded run."""
+    """Run the graph again on a recorded bag's samples, with the parameters of the recorded run.
+
+    Where the bag lies in a folder with the truth of its simulation, the report compares with it.
+    """
     from deepseis_bringup.report import write_report
 
     recorded = recorded_run(bag)
@@ -272,4 +275,11 @@ def replay(
     )
     figures = run_recording(Selection(str(bag)), folder, options)
     with console.status("writing the report"):
-        return write_report(folder, truth=None, title=title, extra=figures)
+        return write_report(folder, truth=_truth_beside(bag), title=title, extra=figures)
+
+
+def _truth_beside(bag: Path) -> Path | None:
+    """Find the truth of a simulated input bag, or of a run on one."""
+    home = bag.resolve().parent
+    places = (home / "truth.npz", home / "input" / "truth.npz")
+    return next((path for path in places if path.is_file()), None)

@@ -34,12 +34,16 @@ def setting(
 
 
 def check(config: Any) -> None:
-    """Raise ``ValueError`` naming the first field of a settings dataclass outside its limits."""
+    """Raise ``ValueError`` naming the first field of a settings dataclass outside its limits.
+
+    Limits and choices hold for each item of a tuple.
+    """
     for item in dataclasses.fields(config):
-        value = getattr(config, item.name)
+        whole = getattr(config, item.name)
         low, high = item.metadata.get("low"), item.metadata.get("high")
         choices = item.metadata.get("choices") or ()
-        if (low is not None and value < low) or (high is not None and value > high):
-            raise ValueError(f"{item.name} = {value} is outside [{low}, {high}]")
-        if choices and value not in choices:
-            raise ValueError(f"{item.name} = {value!r} is not one of {', '.join(choices)}")
+        for value in whole if isinstance(whole, tuple) else (whole,):
+            if (low is not None and value < low) or (high is not None and value > high):
+                raise ValueError(f"{item.name} = {value} is outside [{low}, {high}]")
+            if choices and value not in choices:
+                raise ValueError(f"{item.name} = {value!r} is not one of {', '.join(choices)}")

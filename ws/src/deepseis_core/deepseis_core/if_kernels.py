@@ -14,6 +14,7 @@ Bytes = NDArray[np.uint8]
 Int8s = NDArray[np.int8]
 Int32s = NDArray[np.int32]
 
+SLICE = 16384  # items converted at once, so that what lies between stays in the cache
 WORDS = {1: np.uint8, 2: np.uint16, 4: np.uint32, 8: np.uint64}
 
 
@@ -41,14 +42,53 @@ def split_flip(data: Bytes, flip: np.uint8, out_a: Bytes, out_b: Bytes) -> None:
 
 
 @njit(cache=True, nogil=True)
-def pack_bits(codes: Bytes, bits: int, order_shift: Bytes, data: Bytes) -> None:
-    """Combine codes (in the order of the stream) into bytes.
+def codes_of(levels: Bytes, code_of_level: Bytes, out: Bytes) -> None:
+    """Look up the codes of levels (int8 seen as uint8)."""
+    for k in range(levels.size):
+        out[k] = code_of_level[levels[k]]
 
-    ``order_shift[k]`` is the position in the byte of the k-th code of that byte.
+
+@njit(cache=True, nogil=True)
+def codes_of_pair(a: Bytes, b: Bytes, code_of_level: Bytes, out: Bytes) -> None:
+    """Look up the codes of two arrays' levels, in turn."""
+    for k in range(a.size):
+        out[2 * k] = code_of_level[a[k]]
+        out[2 * k + 1] = code_of_level[b[k]]
+
+
+@njit(cache=True, nogil=True)
+def deal_flip(a: Bytes, b: Bytes, flip: np.uint8, out: Bytes) -> None:
+    """Put the items of two arrays in turn, with their top bit flipped or not."""
+    for k in range(a.size):
+        out[2 * k] = a[k] ^ flip
+        out[2 * k + 1] = b[k] ^ flip
+
+
+@njit(cache=True, nogil=True)
+def squeeze(words: Array, factor: np.uint64, shift: np.uint64, out: Bytes) -> None:
+    """Gather the bits of each word's bytes in one byte: one product does it (`gather_factor`)."""
+    for k in range(out.size):
+        out[k] = np.uint8((np.uint64(words[k]) * factor) >> shift)
+
+
+def gather_factor(bits: int, lsb_first: bool) -> int:
+    """Return the factor that gathers the codes in a word's bytes in its top byte.
+
+    Byte k of the little-endian word holds the k-th code of the stream; multiplied by 2**m it is
+    moved by m bits. The other products fall beside the top byte, and no two on the same bit.
+
+    Examples
+    --------
+    >>> word = 0x02_00_03_01  # codes 1, 3, 0, 2 of two bits
+    >>> f"{word * gather_factor(2, True) >> 24 & 255:08b}"
+    '10001101'
+    >>> f"{word * gather_factor(2, False) >> 24 & 255:08b}"
+    '01110010'
     """
     per_byte = 8 // bits
-    for k in range(codes.size):
-        data[k // per_byte] |= codes[k] << order_shift[k % per_byte]
+    top = 8 * (per_byte - 1)
+    place = range(per_byte) if lsb_first else range(per_byte - 1, -1, -1)
+    return sum(1 << (top + bits * place[k] - 8 * k) for k in range(per_byte))
 
 
 @njit(inline="always")
@@ -124,7 +164,7 @@ class Codec:
     first: Array
     second: Array
     code_of_level: Bytes
-    order_shift: Bytes
+    gather: int
     wide: Wide | None
 
     def unpack(self, data: Bytes, i: Array, q: Array | None) -> None:
@@ -187,17 +227,41 @@ class Codec:
             raise TypeError("I/Q samples are packed from two arrays of one length")
         parts = [i] if q is None else ([q, i] if self.swap else [i, q])
         if self.wide is not None:
-            stream = np.stack([np.asarray(part) for part in parts], axis=1).ravel()
-            data[:] = self.wide.encode(stream)
+            stream, count = data.view(np.uint16), len(parts)
+            for k, part in enumerate(parts):
+                for start in range(0, part.size, SLICE):
+                    words = self.wide.encode(part[start : start + SLICE])
+                    stream[count * start + k : count * (start + SLICE) : count] = words
             return
-        codes = [self.code_of_level[_to_int8(part).view(np.uint8)] for part in parts]
-        if self.by_byte and len(codes) == 2:
-            for k, code in enumerate(codes):
-                half = np.zeros(data.size // 2, np.uint8)
-                pack_bits(code, self.bits, self.order_shift, half)
-                data[k::2] = half
-            return
-        pack_bits(np.stack(codes, axis=1).ravel(), self.bits, self.order_shift, data)
+        levels = [_to_int8(part).view(np.uint8) for part in parts]
+        if self.by_byte and len(levels) == 2:
+            for k, part in enumerate(levels):
+                data[k::2] = self._squeeze(self._codes([part]))
+        else:
+            data[:] = self._squeeze(self._codes(levels))
+
+    def _codes(self, levels: list[Bytes]) -> Bytes:
+        """Return the codes in the order of the stream, filled up to whole bytes with zeros."""
+        per_byte, count = 8 // self.bits, len(levels) * levels[0].size
+        codes = np.empty(-(-count // per_byte) * per_byte, np.uint8)
+        codes[count:] = 0
+        if self.bits == 8 and self.flip >= 0 and len(levels) == 2:
+            deal_flip(*levels, np.uint8(self.flip), codes)
+        elif len(levels) == 2:
+            codes_of_pair(*levels, self.code_of_level, codes)
+        else:
+            codes_of(*levels, self.code_of_level, codes)
+        return codes
+
+    def _squeeze(self, codes: Bytes) -> Bytes:
+        """Combine codes into bytes."""
+        if self.bits == 8:
+            return codes
+        per_byte = 8 // self.bits
+        out = np.empty(codes.size // per_byte, np.uint8)
+        shift = np.uint64(8 * (per_byte - 1))
+        squeeze(codes.view(f"<u{per_byte}"), np.uint64(self.gather), shift, out)
+        return out
 
 
 @dataclass(frozen=True)
@@ -218,17 +282,19 @@ class Wide:
             return np.where(words >> 15 == self.positive, magnitude, -magnitude).astype(np.int16)
         return words.view(np.int16)
 
-    def encode(self, levels: Array) -> Bytes:
-        """Bytes of the levels."""
+    def encode(self, levels: Array) -> NDArray[np.uint16]:
+        """Words of the levels, in the file's byte order."""
         low = -32767 if self.coding == "sign_magnitude" else -32768
-        levels = np.clip(np.floor(levels.astype(np.float64) + 0.5), low, 32767).astype(np.int16)
+        if levels.dtype != np.int16:
+            levels = np.floor(np.asarray(levels, np.float64) + 0.5)
+        levels = np.clip(levels, low, 32767).astype(np.int16)
         words = levels.view(np.uint16)
         if self.coding == "offset_binary":
             words = words ^ np.uint16(0x8000)
         elif self.coding == "sign_magnitude":
             sign = np.where(levels < 0, 1 - self.positive, self.positive).astype(np.uint16)
             words = np.abs(levels).astype(np.uint16) | (sign << np.uint16(15))
-        return words.astype(f"{self.byte_order}u2").view(np.uint8)
+        return words.astype(f"{self.byte_order}u2", copy=False).view(np.uint16)
 
 
 def make_codec(
@@ -244,7 +310,7 @@ def make_codec(
     """Make the tables of a packing: what each byte unpacks to, what each level packs to."""
     wide = None
     empty = np.zeros(0, np.uint8)
-    whole = first = second = code_of_level = order_shift = empty
+    whole = first = second = code_of_level = empty
     if level_of_code is None:
         wide = Wide("<" if order == "lsb_first" else ">", coding, positive)
     else:
@@ -267,7 +333,7 @@ def make_codec(
         first=first,
         second=second,
         code_of_level=code_of_level,
-        order_shift=order_shift,
+        gather=gather_factor(bits, order == "lsb_first") if bits <= 8 else 0,
         wide=wide,
     )
 

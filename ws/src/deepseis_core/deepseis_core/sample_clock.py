@@ -38,6 +38,18 @@ class SampleClock:
         """UTC of a sample [ns since 1970]."""
         return self.start_utc_ns + self.offset_ns(sample_index)
 
+    def sample_at(self, utc_ns: int) -> int:
+        """Last whole sample at or before a UTC [ns since 1970], its rounding to ns undone.
+
+        Examples
+        --------
+        >>> clock = SampleClock(10, 3e6)
+        >>> [clock.sample_at(clock.utc_ns(n)) for n in (0, 1, 2, 1000000)]
+        [0, 1, 2, 1000000]
+        """
+        rate_mhz = round(self.sample_rate_hz * 1e3)
+        return ((utc_ns - self.start_utc_ns + 1) * rate_mhz - 1) // 1_000_000_000_000
+
     @classmethod
     def from_sample(cls, sample_index: int, utc_ns: int, sample_rate_hz: float) -> SampleClock:
         """Make the clock that shows ``utc_ns`` at ``sample_index``."""

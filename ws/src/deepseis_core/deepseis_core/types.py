@@ -242,3 +242,71 @@ class Aiding:
     carrier_doppler_rate: FloatArray
     clock_drift_hz: float
     doppler_sd_hz: Float32Array
+
+
+@dataclass(frozen=True)
+class ImuSample:
+    """Mean rates of an IMU over an interval, body axes forward-left-up (REP-145).
+
+    Times the interval they are the increments of angle and velocity; ``sample_index`` is the
+    last whole sample at or before the interval's end, the time of validity. Variances of one
+    axis; -1: the sensor has no such axes.
+    """
+
+    sample_index: int
+    angular_velocity: FloatArray
+    linear_acceleration: FloatArray
+    angular_velocity_variance: float
+    linear_acceleration_variance: float
+
+
+@dataclass(frozen=True)
+class Station:
+    """What the station is and where its sensors sit; the fields of ``Station.msg``."""
+
+    name: str
+    network: str
+    monument_ecef: FloatArray
+    antenna_lever_arm: FloatArray
+    imu_to_antenna: FloatArray
+    imu_orientation_xyzw: FloatArray
+    receiver: str = ""
+    receiver_serial: str = ""
+    antenna: str = ""
+    antenna_serial: str = ""
+    imu: str = ""
+    imu_serial: str = ""
+
+
+@dataclass(frozen=True)
+class LdvVelocity:
+    """One measurement of a two-beam laser velocimeter; the fields of ``LdvVelocity.msg``."""
+
+    sample_index: int
+    valid_through: int
+    beam_velocity: FloatArray
+    beam_elevation: FloatArray
+    forward_velocity: float
+    vertical_velocity: float
+    beam_velocity_sd: Float32Array
+    quality: float
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the simulator knows: n epochs of motion, m of k satellites (``Truth.msg``)."""
+
+    valid_through: int
+    sample_index: IntArray
+    position_ecef: FloatArray
+    velocity_ecef: FloatArray
+    acceleration_ecef: FloatArray
+    orientation_xyzw: FloatArray
+    satellite_sample_index: IntArray
+    satellites: tuple[str, ...]
+    range: FloatArray
+    pseudorange: FloatArray
+    carrier_phase_cycles: FloatArray
+    carrier_doppler_hz: FloatArray
+    cn0_dbhz: Float32Array
+    clock_bias: FloatArray

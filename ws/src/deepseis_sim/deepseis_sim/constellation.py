@@ -38,11 +38,23 @@ class VisibleSatellite:
         return int(self.ephemeris.satellite[1:])
 
 
-def cn0_at_elevation(elevation: ArrayLike) -> FloatArray:
+def cn0_at_elevation(
+    elevation: ArrayLike,
+    *,
+    zenith_dbhz: float = ZENITH_CN0_DBHZ,
+    low_dbhz: float = LOW_CN0_DBHZ,
+) -> FloatArray:
     """Return the C/N0 of an unobstructed satellite [dB-Hz].
 
-    A line in the sine of elevation through 45 dB-Hz at the zenith and 41 at 10 degrees, which
-    continues below.
+    A line in the sine of elevation through one value at the zenith and another at 10 degrees,
+    which continues below.
+
+    Parameters
+    ----------
+    elevation : array_like
+        [rad]
+    zenith_dbhz, low_dbhz : float, optional
+        C/N0 at the zenith and at 10 degrees.
 
     Examples
     --------
@@ -51,7 +63,7 @@ def cn0_at_elevation(elevation: ArrayLike) -> FloatArray:
     """
     low = np.sin(LOW_ELEVATION)
     share = (np.sin(elevation) - low) / (1.0 - low)
-    return LOW_CN0_DBHZ + (ZENITH_CN0_DBHZ - LOW_CN0_DBHZ) * share
+    return low_dbhz + (zenith_dbhz - low_dbhz) * share
 
 
 def visible_satellites(

@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 
 from deepseis_core.types import Float32Array, FloatArray, IntArray
 from deepseis_sim import gaussian_noise as noise
+from deepseis_sim.carrier_table import TWO_PI, Scratch, make_scratch, rotation_table
 from deepseis_sim.gaussian_noise import F32, U32, U64, float_bits, float_from_bits
+from deepseis_sim.jammer_kernel import Jammers, add_jammers, make_held
 
 TILE: Final = noise.BLOCK
 """Samples of one tile."""
 
 CHIP: Final = float(1 << 27)
 """Units of the fixed-point code phase in a chip: 32 chips fill 32 bits."""
-
-TWO_PI: Final = 2.0 * np.pi
 
 fill_noise = noise.fill_block
 
@@ -40,7 +40,8 @@ class Signals(NamedTuple):
     period ``period`` (n, n_segments), and that from the beginning of ``bits`` (n, n_bits), one
     each 20 periods, 1 where the signal is inverted. ``amplitude`` (n, n_segments) is in standard
     deviations of the noise per component. ``windows`` (n, 1023) holds the code's 32 chips from
-    each chip on, the first in bit 0, set where the chip is -1.
+    each chip on, the first in bit 0, set where the chip is -1. ``inverse_step`` (n_segments,) is
+    the inverse of the quantiser's step, in the same standard deviations.
     """
 
     first_segment: int
@@ -50,6 +51,7 @@ class Signals(NamedTuple):
     bits: NDArray[np.uint8]
     amplitude: FloatArray
     windows: NDArray[np.uint32]
+    inverse_step: Float32Array
 
 
 class Sampling(NamedTuple):
@@ -66,7 +68,6 @@ class Sampling(NamedTuple):
     group: int
     seed: np.uint64
     noise: bool
-    inverse_step: np.float32
     odd: bool
     limit: np.float32
 
@@ -76,33 +77,6 @@ def cubic(coefficients: FloatArray, x: float) -> float:
     """Evaluate a cubic by Horner's rule."""
     c = coefficients
     return c[0] + x * (c[1] + x * (c[2] + x * c[3]))
-
-
-@njit(cache=True, nogil=True)
-def rotation_table(
-    step: float,
-    table_c: Float32Array,
-    table_s: Float32Array,
-    exact_c: FloatArray,
-    exact_s: FloatArray,
-) -> tuple[float, float]:
-    """Fill ``exp(j 2 pi step b)`` for b = 0 .. table size, and return the value after the last.
-
-    The table doubles from one value, in float64 (``exact``, scratch): off by less than 1e-14.
-    """
-    exact_c[0], exact_s[0] = 1.0, 0.0
-    c, s = np.cos(TWO_PI * step), np.sin(TWO_PI * step)
-    size = 1
-    while size < table_c.size:
-        for b in range(size):
-            exact_c[size + b] = exact_c[b] * c - exact_s[b] * s
-            exact_s[size + b] = exact_c[b] * s + exact_s[b] * c
-        c, s = c * c - s * s, 2.0 * c * s
-        size *= 2
-    for b in range(table_c.size):
-        table_c[b] = exact_c[b]
-        table_s[b] = exact_s[b]
-    return c, s
 
 
 @njit(cache=True, nogil=True)
@@ -155,7 +129,7 @@ def add_satellite(
     code: tuple[float, float, int],
     windows: NDArray[np.uint32],
     bits: NDArray[np.uint8],
-    scratch: tuple[Float32Array, Float32Array, FloatArray, FloatArray],
+    scratch: Scratch,
 ) -> None:
     """Add one satellite to a tile.
 
@@ -169,13 +143,13 @@ def add_satellite(
         a sample, and that period's number.
     windows, bits : ndarray
         The satellite's rows of `Signals`.
-    scratch : tuple of ndarray, shape (group,)
+    scratch : tuple of ndarray
         For `rotation_table`.
     """
-    table_c, table_s, exact_c, exact_s = scratch
+    table_c, table_s = scratch[0], scratch[1]
     amplitude, phase, rotation = carrier
     start_chips, rate, start_period = code
-    turn_c, turn_s = rotation_table(rotation, table_c, table_s, exact_c, exact_s)
+    turn_c, turn_s = rotation_table(rotation, scratch)
     c, s = amplitude * np.cos(TWO_PI * phase), amplitude * np.sin(TWO_PI * phase)
     step = U32(rate * CHIP)
     group = table_c.size
@@ -192,9 +166,9 @@ def add_satellite(
 
 
 @njit(cache=True, nogil=True)
-def quantise(x: Float32Array, sampling: Sampling, out: NDArray[Any]) -> None:
+def quantise(x: Float32Array, inverse_step: Any, sampling: Sampling, out: NDArray[Any]) -> None:
     """Write the levels of a tile."""
-    inverse_step, limit = sampling.inverse_step, sampling.limit
+    limit = sampling.limit
     if sampling.odd:
         for n in range(x.size):
             level = F32(2.0) * np.floor(x[n] * inverse_step) + F32(1.0)
@@ -208,15 +182,15 @@ def quantise(x: Float32Array, sampling: Sampling, out: NDArray[Any]) -> None:
 @njit(cache=True, nogil=True)
 def add_signals(
     tile: int,
+    segment: int,
     signals: Signals,
     sampling: Sampling,
     out_i: Float32Array,
     out_q: Float32Array,
-    scratch: Any,
+    scratch: Scratch,
 ) -> None:
     """Add all satellites to a tile."""
     length = sampling.tiles_per_segment
-    segment = tile // length
     begin, end = (tile - segment * length) / length, (tile - segment * length + 1) / length
     row = segment - signals.first_segment
     if_phase = np.float64(U64(sampling.increment * U64(tile * TILE))) * 2.0**-64
@@ -237,7 +211,12 @@ def add_signals(
 
 @njit(cache=True, nogil=True)
 def synthesise(
-    first_tile: int, signals: Signals, sampling: Sampling, out_i: NDArray[Any], out_q: NDArray[Any]
+    first_tile: int,
+    signals: Signals,
+    jammers: Jammers,
+    sampling: Sampling,
+    out_i: NDArray[Any],
+    out_q: NDArray[Any],
 ) -> None:
     """Make whole tiles of quantised IF samples.
 
@@ -247,23 +226,25 @@ def synthesise(
         Number of the first tile; its first sample is ``first_tile * TILE``.
     signals : Signals
         Covering these samples.
+    jammers : Jammers
+        Their amplitudes are those of the segments of ``signals``.
     sampling : Sampling
     out_i, out_q : ndarray of int8 or int16, shape (n_tiles * TILE,)
     """
     tile_i, tile_q = np.empty(TILE, np.float32), np.empty(TILE, np.float32)
-    group = sampling.group
-    scratch = (
-        np.empty(group, np.float32),
-        np.empty(group, np.float32),
-        np.empty(group, np.float64),
-        np.empty(group, np.float64),
-    )
+    scratch = make_scratch(sampling.group)
+    held = make_held(jammers.increment.size)
     for k in range(out_i.size // TILE):
+        tile = first_tile + k
+        segment = tile // sampling.tiles_per_segment
+        row = segment - signals.first_segment
         if sampling.noise:
-            fill_noise(sampling.seed, U64(first_tile + k), tile_i, tile_q)
+            fill_noise(sampling.seed, U64(tile), tile_i, tile_q)
         else:
             tile_i[:] = 0.0
             tile_q[:] = 0.0
-        add_signals(first_tile + k, signals, sampling, tile_i, tile_q, scratch)
-        quantise(tile_i, sampling, out_i[k * TILE : (k + 1) * TILE])
-        quantise(tile_q, sampling, out_q[k * TILE : (k + 1) * TILE])
+        add_signals(tile, segment, signals, sampling, tile_i, tile_q, scratch)
+        add_jammers(tile, row, jammers, held, tile_i, tile_q, scratch)
+        inverse_step = signals.inverse_step[row]
+        quantise(tile_i, inverse_step, sampling, out_i[k * TILE : (k + 1) * TILE])
+        quantise(tile_q, inverse_step, sampling, out_q[k * TILE : (k + 1) * TILE])

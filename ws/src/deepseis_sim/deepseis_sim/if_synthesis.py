@@ -12,7 +12,7 @@ with 1 bit, 0.55 dB with 2, 0.05 dB with 4.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -25,7 +25,9 @@ from deepseis_core.constants import CA_LENGTH, CA_RATE_CPS
 from deepseis_core.errors import InputError
 from deepseis_core.if_format import IfFormat
 from deepseis_core.types import FloatArray
+from deepseis_sim.agc import FollowingGain
 from deepseis_sim.if_kernel import TILE, Sampling, Signals, synthesise
+from deepseis_sim.jammer import JammerBank, JammerConfig
 
 OPTIMUM_STEP: Final = {1: 1.596, 2: 0.9957, 4: 0.3352, 8: 0.03076, 16: 1 / 4096}
 """Quantiser step per standard deviation that distorts a normal variable least (J. Max,
@@ -94,7 +96,14 @@ class IfSynthesizer:
     noise : bool, optional
         False leaves the bare signal, for tests.
     mean_cn0_dbhz : sequence of float, optional
-        C/N0 of the satellites for which the automatic gain is set; none: noise alone.
+        C/N0 of the satellites for which a fixed gain is set; none: noise alone. Jammers do not
+        change it.
+    jammers : sequence of JammerConfig, optional
+    agc_s : float, optional
+        Above zero the gain follows the expected power with this time constant (`agc`).
+    carriers_hz : callable, optional
+        For that: sum of the satellites' C/N0 [Hz] at seconds since the start, shape (m,); else
+        that of ``mean_cn0_dbhz``.
 
     Attributes
     ----------
@@ -112,6 +121,9 @@ class IfSynthesizer:
         seed: int = 0,
         noise: bool = True,
         mean_cn0_dbhz: Sequence[float] = (),
+        jammers: Sequence[JammerConfig] = (),
+        agc_s: float = 0.0,
+        carriers_hz: Callable[[FloatArray], FloatArray] | None = None,
     ) -> None:
         if not sample_rate_hz >= LOWEST_RATE_HZ:
             raise InputError("sample rate", f"{sample_rate_hz} Hz is below 1 MHz")
@@ -127,21 +139,49 @@ class IfSynthesizer:
             group=64 if 63 * CA_RATE_CPS / sample_rate_hz < 30 else 16,
             seed=np.uint64(seed & (2**64 - 1)),
             noise=noise,
-            inverse_step=np.float32(1.0 / self._step(noise, mean_cn0_dbhz)),
             odd=format.levels == "odd",
             limit=np.float32(min(format.max_level, 32767 if format.bits == 16 else 127)),
         )
+        self._jammers = JammerBank(
+            jammers,
+            sample_rate_hz,
+            intermediate_frequency_hz,
+            mirrored=format.inverted,
+            real=format.is_real,
+            seed=seed,
+        )
+        self._fixed_hz = float(np.sum(10.0 ** (np.asarray(mean_cn0_dbhz, np.float64) / 10.0)))
+        self._carriers_hz = carriers_hz
+        self._gain = None
+        if agc_s > 0.0:
+            self._gain = FollowingGain(self._power, self.segment_span, agc_s)
+
+    @property
+    def segment_span(self) -> float:
+        """Length of a segment [s]."""
+        return self.segment_samples / self.sample_rate_hz
 
     def amplitude(self, cn0_dbhz: FloatArray) -> FloatArray:
         """Return the amplitude that has a C/N0, in units of the noise per component."""
         cn0 = 10.0 ** (np.asarray(cn0_dbhz, np.float64) / 10.0)
         return np.sqrt((4.0 if self.format.is_real else 2.0) * cn0 / self.sample_rate_hz)
 
-    def _step(self, noise: bool, cn0_dbhz: Sequence[float]) -> float:
-        """Set the gain by the power that is to come: quantiser step in units of the noise."""
-        signals = float(np.sum(self.amplitude(np.asarray(cn0_dbhz, np.float64)) ** 2)) / 2.0
-        sigma = float(np.sqrt(float(noise) + signals)) or 1.0
-        return OPTIMUM_STEP[self.format.bits] * sigma
+    def step(self, first: int, count: int) -> FloatArray:
+        """Return the quantiser's step in segments, in units of the noise per component."""
+        if self._gain is None:
+            power = np.full(count, self._total(self._fixed_hz))
+        else:
+            power = self._gain(first, count)
+        return OPTIMUM_STEP[self.format.bits] * np.sqrt(np.where(power > 0.0, power, 1.0))
+
+    def _total(self, carriers_hz: Any) -> Any:
+        """Return the power per component of noise and of carriers over the noise's density."""
+        share = (2.0 if self.format.is_real else 1.0) * carriers_hz / self.sample_rate_hz
+        return float(self._sampling.noise) + share
+
+    def _power(self, time: FloatArray) -> FloatArray:
+        carriers = self._fixed_hz if self._carriers_hz is None else self._carriers_hz(time)
+        return np.asarray(self._total(carriers + self._jammers.power_hz(time)))
 
     def levels(
         self, segments: SignalSegments, start: int, count: int
@@ -161,7 +201,7 @@ class IfSynthesizer:
             I and Q levels; real samples are the first.
         """
         first, last = start // TILE, -(-(start + count) // TILE)
-        shape = (last - first) * TILE
+        shape, count_of = (last - first) * TILE, segments.cn0_dbhz.shape[1]
         out_i, out_q = np.empty(shape, self.format.dtype), np.empty(shape, self.format.dtype)
         signals = Signals(
             segments.first_segment,
@@ -171,8 +211,11 @@ class IfSynthesizer:
             segments.bits,
             self.amplitude(segments.cn0_dbhz),
             self._windows,
+            (1.0 / self.step(segments.first_segment, count_of)).astype(np.float32),
         )
-        synthesise(first, signals, self._sampling, out_i, out_q)
+        number = np.arange(segments.first_segment, segments.first_segment + count_of)
+        jammers = self._jammers.at((number + 0.5) * self.segment_span)
+        synthesise(first, signals, jammers, self._sampling, out_i, out_q)
         part = slice(start - first * TILE, start - first * TILE + count)
         return out_i[part], out_q[part]
 

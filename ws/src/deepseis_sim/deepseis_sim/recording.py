@@ -12,19 +12,22 @@ file            content
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deepseis_core.errors import InputError
 from deepseis_core.if_format import IfFormat
 from deepseis_core.rinex_nav import write_rinex_nav
 from deepseis_core.types import FloatArray
 from deepseis_sim.if_synthesis import IfSynthesizer, SignalSegments
+from deepseis_sim.jammer import JammerConfig
+from deepseis_sim.multipath import MultipathConfig
 from deepseis_sim.signal_model import SignalModel
 from deepseis_sim.truth_file import TruthFile
 
@@ -66,23 +69,54 @@ class IfStream:
     front_end : FrontEnd
     seed : int, optional
         Of the noise.
+    jammers : sequence of JammerConfig, optional
+    multipath : MultipathConfig, optional
+    agc_s : float, optional
+        Time constant of the automatic gain (`agc`) [s]; zero: a fixed gain, set for noise and
+        satellites.
+
+    Raises
+    ------
+    InputError
+        Where a jammer makes no sense for this front end.
     """
 
-    def __init__(self, model: SignalModel, front_end: FrontEnd, *, seed: int = 0) -> None:
-        self.model = model
+    def __init__(
+        self,
+        model: SignalModel,
+        front_end: FrontEnd,
+        *,
+        seed: int = 0,
+        jammers: Sequence[JammerConfig] = (),
+        multipath: MultipathConfig | None = None,
+        agc_s: float = 0.0,
+    ) -> None:
+        self.model, self.multipath = model, multipath
         self.synthesizer = IfSynthesizer(
             front_end.format,
             front_end.sample_rate_hz,
             front_end.intermediate_frequency_hz,
-            [item.prn for item in model.satellites],
+            model.signal_prn(multipath),
             seed=seed,
             mean_cn0_dbhz=[item.cn0_dbhz for item in model.satellites],
+            jammers=jammers,
+            agc_s=agc_s,
+            carriers_hz=lambda time: model.carriers_hz(time, multipath),
         )
 
     def segments(self, first: int, count: int) -> SignalSegments:
         """Lay out the phases of segments of the synthesizer's length."""
-        span = self.synthesizer.segment_samples / self.synthesizer.sample_rate_hz
-        return self.model.segments(first, count, span)
+        return self.model.segments(first, count, self.synthesizer.segment_span, self.multipath)
+
+    def packed(self, start: int, count: int) -> NDArray[np.uint8]:
+        """Make the samples ``start .. start + count`` in the front end's bytes.
+
+        Spans may follow one another in any way; ``start`` is a multiple of the format's
+        ``samples_per_unit``.
+        """
+        length = self.synthesizer.segment_samples
+        first, end = start // length, -(-(start + count) // length)
+        return self.synthesizer.packed(self.segments(first, end - first), start, count)
 
     def chunks(
         self, sample_count: int, *, chunk_segments: int = CHUNK_SEGMENTS
@@ -92,8 +126,7 @@ class IfStream:
         for first in range(0, -(-sample_count // length), chunk_segments):
             start = first * length
             count = min(chunk_segments * length, sample_count - start)
-            segments = self.segments(first, -(-count // length))
-            yield start, self.synthesizer.packed(segments, start, count).tobytes()
+            yield start, self.packed(start, count).tobytes()
 
 
 def truth_rows(model: SignalModel, time: FloatArray) -> dict[str, FloatArray]:
@@ -107,11 +140,11 @@ def truth_rows(model: SignalModel, time: FloatArray) -> dict[str, FloatArray]:
         ``pseudorange`` [m], all (m, n_satellites); ``clock_bias`` [s], (m,); ``antenna_ecef``
         [m], (m, 3).
     """
-    delays = model.delays(time)
+    delays, doppler = model.delays_and_doppler(time)
     return {
         "t_s": time,
         "carrier_phase_cycles": delays.carrier_phase_cycles + model.initial_phase_cycles,
-        "carrier_doppler_hz": model.carrier_doppler_hz(time),
+        "carrier_doppler_hz": doppler,
         "range": delays.range,
         "pseudorange": delays.pseudorange,
         "clock_bias": delays.receiver_clock,
@@ -200,7 +233,7 @@ def _write_files(
 
 def _write_truth(model: SignalModel, duration: float, path: Path) -> None:
     rows = int(np.floor(duration / TRUTH_STEP + 1e-6)) + 1
-    with TruthFile(path, rows) as truth:
+    with TruthFile(path) as truth:
         for first in range(0, rows, _TRUTH_CHUNK):
             number = np.arange(first, min(first + _TRUTH_CHUNK, rows))
             truth.append(**truth_rows(model, number / round(1 / TRUTH_STEP)))

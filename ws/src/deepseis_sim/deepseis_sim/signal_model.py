@@ -26,11 +26,13 @@ from deepseis_core.constants import CA_RATE_CPS, L1_HZ, L1_WAVELENGTH, NS_PER_S,
 from deepseis_core.ephemeris import pack
 from deepseis_core.geodesy import geodetic_from_ecef
 from deepseis_core.gps_time import GpsTime
-from deepseis_core.propagation import line_of_sight
+from deepseis_core.propagation import LineOfSight, line_of_sight
 from deepseis_core.types import FloatArray
 from deepseis_sim.constellation import VisibleSatellite
 from deepseis_sim.if_synthesis import SignalSegments
+from deepseis_sim.multipath import HALF_CYCLE, MultipathConfig
 from deepseis_sim.nav_data import NavData
+from deepseis_sim.slow_table import SlowTable
 
 Trajectory = Callable[[FloatArray], FloatArray]
 """Antenna ECEF [m], shape (m, 3), at true seconds since the start, shape (m,). It must answer for
@@ -71,13 +73,18 @@ def linear_clock(bias: float, drift: float) -> ClockBias:
 
 @dataclass(frozen=True)
 class Delays:
-    """Parts of the signals' delay, shape (m, n_satellites) but for ``receiver_clock``, (m,)."""
+    """Parts of the signals' delay [m, s] and the satellites' directions [rad].
+
+    Their shape is (m, n_satellites), but for ``receiver_clock``, (m,).
+    """
 
     range: FloatArray
     satellite_clock: FloatArray
     ionosphere: FloatArray
     troposphere: FloatArray
     receiver_clock: FloatArray
+    elevation: FloatArray
+    azimuth: FloatArray
 
     @property
     def _clocks(self) -> FloatArray:
@@ -111,6 +118,13 @@ class SignalModel:
         Klobuchar with the ephemeris' parameters; Saastamoinen at 70 % humidity.
     seed : int, optional
         Of the carriers' initial phases.
+    cn0 : callable, optional
+        C/N0 [dB-Hz], shape (m, n_satellites), at seconds since the start, shape (m,), such as
+        `Sky.cn0_dbhz`; minus infinity: no signal. Else it is that of the satellites, unchanging.
+
+    Attributes
+    ----------
+    initial_phase_cycles : ndarray, shape (n_satellites,)
     """
 
     def __init__(
@@ -123,13 +137,15 @@ class SignalModel:
         ionosphere: bool = True,
         troposphere: bool = True,
         seed: int = 0,
+        cn0: Callable[[FloatArray], FloatArray] | None = None,
     ) -> None:
         self.satellites = tuple(satellites)
+        self._cn0 = cn0
         self.start, self.antenna = start, antenna
         self.clock = clock or linear_clock(0.0, 0.0)
         self._packed = pack([item.ephemeris for item in satellites])
         self._atmosphere = (ionosphere, troposphere)
-        self._grid: dict[int, tuple[FloatArray, FloatArray]] = {}
+        self._atmosphere_table = SlowTable(self._atmosphere_grid, ATMOSPHERE_STEP)
         self._nav = [NavData(item.ephemeris, start.week) for item in satellites]
         rng = np.random.default_rng([seed, 1])
         self.initial_phase_cycles = rng.random(len(self.satellites))
@@ -137,32 +153,102 @@ class SignalModel:
     def delays(self, time: FloatArray) -> Delays:
         """Evaluate the delays at receiver seconds since the start, shape (m,)."""
         bias = self.clock(time)
-        whole = np.floor(time * NS_PER_S)
-        los = line_of_sight(
-            self._packed,
-            self.start.week,
-            self.start.tow_ns + whole.astype(np.int64),
-            np.ascontiguousarray(self.antenna(time - bias)),
-            offset=time - whole / NS_PER_S - bias,
-        )
-        ionosphere, troposphere = self._atmosphere_at(time)
-        return Delays(los.range, los.satellite_clock, ionosphere, troposphere, bias)
+        return self._delays(time, bias, self._line_of_sight(time, bias, self._at(time - bias)))
 
     def carrier_phase_cycles(self, time: FloatArray) -> FloatArray:
         """Return the carriers' phases, shape (m, n_satellites)."""
         return self.delays(time).carrier_phase_cycles + self.initial_phase_cycles
 
     def carrier_doppler_hz(self, time: FloatArray) -> FloatArray:
-        """Return the carriers' Doppler, a central difference over 1 ms (5e-5 Hz off at 2 g)."""
-        later = self.carrier_phase_cycles(time + _DIFFERENCE_STEP)
-        return (later - self.carrier_phase_cycles(time - _DIFFERENCE_STEP)) / 1e-3
+        """Return the carriers' Doppler, shape (m, n_satellites)."""
+        return self.delays_and_doppler(time)[1]
 
-    def segments(self, first: int, count: int, span: float) -> SignalSegments:
-        """Lay out phases and data for segments ``first .. first + count`` of ``span`` seconds."""
-        number = np.arange(first, first + count)
+    def delays_and_doppler(self, time: FloatArray) -> tuple[Delays, FloatArray]:
+        """Evaluate the delays and the carriers' Doppler [Hz] together: half the work.
+
+        With d the clock's rate and f the Doppler by a perfect clock, ``phi' = f (1 - d) - f1 d -
+        (T' - I') / lambda``. The antenna's velocity, d and the atmosphere's rates are central
+        differences over 1 ms: 5e-5 Hz off at 2 g and 2 Hz.
+        """
+        h, bias = _DIFFERENCE_STEP, self.clock(time)
+        true = time - bias
+        velocity = (self._at(true + h) - self._at(true - h)) / (2.0 * h)
+        los = self._line_of_sight(time, bias, np.append(self._at(true), velocity, axis=1))
+        rate = (self.clock(time + h) - self.clock(time - h))[:, None] / (2.0 * h)
+        air = (self._atmosphere_table(time + h) - self._atmosphere_table(time - h)) / (2.0 * h)
+        doppler = los.doppler_hz * (1.0 - rate) - L1_HZ * rate
+        doppler -= (air[:, 1] - air[:, 0]) / L1_WAVELENGTH
+        return self._delays(time, bias, los), doppler
+
+    def _at(self, true: FloatArray) -> FloatArray:
+        return np.asarray(self.antenna(true), np.float64)[:, :3]
+
+    def _line_of_sight(
+        self, time: FloatArray, bias: FloatArray, receiver: FloatArray
+    ) -> LineOfSight:
+        whole = np.floor(time * NS_PER_S)
+        return line_of_sight(
+            self._packed,
+            self.start.week,
+            self.start.tow_ns + whole.astype(np.int64),
+            np.ascontiguousarray(receiver),
+            offset=time - whole / NS_PER_S - bias,
+        )
+
+    def _delays(self, time: FloatArray, bias: FloatArray, los: LineOfSight) -> Delays:
+        ionosphere, troposphere = np.moveaxis(self._atmosphere_table(time), 1, 0)
+        return Delays(
+            los.range,
+            los.satellite_clock,
+            ionosphere,
+            troposphere,
+            bias,
+            los.elevation,
+            los.azimuth,
+        )
+
+    def cn0_dbhz(self, time: FloatArray) -> FloatArray:
+        """Return the satellites' C/N0 [dB-Hz], shape (m, n_satellites)."""
+        if self._cn0 is not None:
+            return self._cn0(time)
+        given = np.array([item.cn0_dbhz for item in self.satellites])
+        return np.broadcast_to(given, (time.size, given.size))
+
+    def signal_prn(self, multipath: MultipathConfig | None = None) -> list[int]:
+        """Return the codes of the rows of `segments`."""
+        reflected = self._reflected(multipath)
+        return [item.prn for item in [*self.satellites, *(self.satellites[k] for k in reflected)]]
+
+    def carriers_hz(
+        self, time: FloatArray, multipath: MultipathConfig | None = None
+    ) -> FloatArray:
+        """Return the sum of C/N0 of satellites and reflections [Hz] at seconds (m,)."""
+        cn0 = 10.0 ** (self.cn0_dbhz(time) / 10.0)
+        gain = 10.0 ** (multipath.gain_db / 10.0) if multipath else 0.0
+        return np.asarray(cn0.sum(axis=1) + gain * cn0[:, self._reflected(multipath)].sum(axis=1))
+
+    def segments(
+        self, first: int, count: int, span: float, multipath: MultipathConfig | None = None
+    ) -> SignalSegments:
+        """Lay out phases and data for segments ``first .. first + count`` of ``span`` seconds.
+
+        Rows are the satellites, then the reflections of those concerned.
+        """
+        number = np.arange(first, first + count, dtype=np.float64)
         time = np.append(((number[:, None] + _NODES[:3]) * span).ravel(), (first + count) * span)
         delays = self.delays(time)
-        sent = time[:, None] - delays.pseudorange / SPEED_OF_LIGHT
+        cn0 = self.cn0_dbhz((number + 0.5) * span)
+        path, phase = delays.pseudorange, delays.carrier_phase_cycles + self.initial_phase_cycles
+        reflected = self._reflected(multipath)
+        if multipath is not None:
+            extra = multipath.extra_path(delays.elevation, delays.azimuth)[:, reflected]
+            path = np.append(path, path[:, reflected] + extra, axis=1)
+            turned = phase[:, reflected] - extra / L1_WAVELENGTH + HALF_CYCLE
+            phase = np.append(phase, turned, axis=1)
+            # Behind the plane there is no reflection, in all of a segment that begins there.
+            weak = np.where(extra[:-1:3] > 0.0, cn0[:, reflected] + multipath.gain_db, -np.inf)
+            cn0 = np.append(cn0, weak, axis=1)
+        sent = time[:, None] - path / SPEED_OF_LIGHT
         # Chips count from the code period in which the segment begins: no phase depends on where
         # the chunk of segments begins.
         begin = self.start.tow_ns + np.floor(sent[:-1:3] * NS_PER_S).astype(np.int64)
@@ -171,35 +257,30 @@ class SignalModel:
         base = (self.start.tow_ns - period * PERIOD_NS) / NS_PER_S
         chips = _cubics(CA_RATE_CPS * sent)
         chips[..., 0] = CA_RATE_CPS * (sent[:-1:3] + base).T
-        cn0_dbhz = np.array([item.cn0_dbhz for item in self.satellites])
         return SignalSegments(
             first,
-            _cubics(delays.carrier_phase_cycles + self.initial_phase_cycles),
+            _cubics(phase),
             chips,
             np.ascontiguousarray((period - 20 * first_bit).T),
-            np.repeat(cn0_dbhz[:, None], count, axis=1),
-            self._bits(first_bit, int(np.ceil(count * span / 0.02)) + 2),
+            np.ascontiguousarray(cn0.T),
+            self._bits(first_bit, int(np.ceil(count * span / 0.02)) + 2, reflected),
         )
 
-    def _bits(self, first: NDArray[np.int64], count: int) -> NDArray[np.uint8]:
-        rows = [nav.bits(int(k), count) for nav, k in zip(self._nav, first, strict=True)]
+    def _reflected(self, multipath: MultipathConfig | None) -> list[int]:
+        """Return the numbers of the satellites that have a reflection."""
+        if multipath is None:
+            return []
+        return [k for k, item in enumerate(self.satellites) if multipath.concerns(item.satellite)]
+
+    def _bits(
+        self, first: NDArray[np.int64], count: int, reflected: Sequence[int]
+    ) -> NDArray[np.uint8]:
+        nav = [*self._nav, *(self._nav[k] for k in reflected)]
+        rows = [item.bits(int(k), count) for item, k in zip(nav, first, strict=True)]
         return np.array(rows, np.uint8).reshape(len(rows), count)
 
-    def _atmosphere_at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Interpolate ionosphere and troposphere on their grid."""
-        cell = np.floor(time / ATMOSPHERE_STEP).astype(np.int64)
-        low, high = int(cell.min()), int(cell.max())
-        wanted = range(low - 1, high + 3)
-        self._grid = {k: self._grid.get(k) or self._atmosphere_grid(k) for k in wanted}
-        share = (time / ATMOSPHERE_STEP - cell)[:, None]
-        parts = []
-        for part in range(2):
-            table = np.array([self._grid[k][part] for k in wanted])
-            parts.append(_catmull_rom([table[cell - low + k] for k in range(4)], share))
-        return parts[0], parts[1]
-
-    def _atmosphere_grid(self, number: int) -> tuple[FloatArray, FloatArray]:
-        """Return ionosphere and troposphere of every satellite at one point of the grid [m]."""
+    def _atmosphere_grid(self, number: int) -> FloatArray:
+        """Return ionosphere and troposphere [m], shape (2, n), at one point of the grid."""
         time = np.array([number * ATMOSPHERE_STEP])
         position = np.array(self.antenna(time)[0, :3])
         when = self.start.add_ns(round(number * ATMOSPHERE_STEP * NS_PER_S))
@@ -216,14 +297,7 @@ class SignalModel:
                 )[0]  # fmt: skip
         if self._atmosphere[1]:
             troposphere = saastamoinen_delay(latitude, height, elevation)
-        return ionosphere, troposphere
-
-
-def _catmull_rom(points: Sequence[FloatArray], s: FloatArray) -> FloatArray:
-    """Interpolate between the second (s = 0) and the third (s = 1) of four equidistant values."""
-    p0, p1, p2, p3 = points
-    cubic = 3.0 * (p1 - p2) + p3 - p0
-    return p1 + 0.5 * s * (p2 - p0 + s * (2.0 * p0 - 5.0 * p1 + 4.0 * p2 - p3 + s * cubic))
+        return np.stack([ionosphere, troposphere])
 
 
 def _cubics(at_nodes: FloatArray) -> FloatArray:

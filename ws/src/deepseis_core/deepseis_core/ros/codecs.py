@@ -19,6 +19,9 @@ EPHEMERIS = Codec(types.Ephemeris, msg.Ephemeris)
 OBSERVATIONS = Codec(types.Observations, msg.Observations)
 PVT = Codec(types.Pvt, msg.Pvt)
 DOPPLER_AIDING = Codec(types.Aiding, msg.DopplerAiding)
+STATION = Codec(types.Station, msg.Station)
+LDV_VELOCITY = Codec(types.LdvVelocity, msg.LdvVelocity)
+TRUTH = Codec(types.Truth, msg.Truth)
 
 
 def acquisition_request(satellite: str, sample_index: int, utc_ns: int) -> msg.AcquisitionRequest:

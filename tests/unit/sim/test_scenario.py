@@ -1,0 +1,106 @@
+import re
+
+import pytest
+
+from deepseis_core.errors import InputError
+from deepseis_core.yaml_config import read_yaml
+from deepseis_sim.scenario import FOLDER, load_scenario, scenario_names
+
+PAPERS = {
+    "static",
+    "sine-1hz",
+    "sine-2hz",
+    "quake",
+    "shake-table",
+    "artificial",
+    "high-g",
+    "drive",
+    "gravity-lines",
+}
+
+
+def write(tmp_path, text):
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_the_papers_scenarios_are_there():
+    assert set(scenario_names()) == PAPERS
+
+
+@pytest.mark.parametrize("name", sorted(PAPERS))
+def test_every_scenario_has_a_title_a_source_and_both_forms(name):
+    full, short = load_scenario(name), load_scenario(name, short=True)
+    assert full.name == short.name == name
+    assert full.title
+    assert re.search("thesis|accelerometer|doppler|hatch|ldv", full.source)
+    assert short.duration < full.duration
+    assert short.duration <= 400.0
+
+
+@pytest.mark.parametrize("name", sorted(PAPERS))
+def test_settings_of_a_scenario_state_units_in_their_names_or_beside(name):
+    for line in (FOLDER / f"{name}.yaml").read_text().splitlines():
+        if re.match(r"\s*(duration|start|radius|amplitude): [0-9.]+$", line):
+            assert line.startswith("  "), f"{line}: without a unit"  # short forms repeat
+
+
+def test_the_long_forms_of_long_scenarios_make_observations():
+    chosen = {name for name in PAPERS if not load_scenario(name).signal}
+    assert chosen == {"artificial", "drive", "gravity-lines"}
+
+
+def test_a_change_wins_over_the_file():
+    scenario = load_scenario("sine-2hz", settings=["imu.grade=mti-g", "motion.0.radius=0.2"])
+    assert scenario.imu.grade == "mti-g"
+    assert scenario.motion[0].radius == 0.2
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "reason"),
+    [
+        ("titel: x", 1, "titel is not known"),
+        ("duration: -3", 1, "outside"),
+        ("imu:\n  grade: best", 2, "not one of"),
+        ("motion:\n- kind: circle\n  radius: wide", 3, "no number"),
+        ("motion:\n- kind: spiral", 2, "'spiral' of motion is not known"),
+        ("seed: 1\nsky:\n  obstructions: 3", 3, "not a list"),
+        ("receiver:\n  if_format: iq9", 1, "if_format"),
+        ("short:\n  duration: 0", 2, "outside"),
+        ("duration: 3\nduration: 4", 2, "given twice"),
+        ("base: yes please", 1, "not a mapping"),
+    ],
+)
+def test_a_bad_scenario_names_line_and_reason(tmp_path, text, line, reason):
+    path = write(tmp_path, text)
+    with pytest.raises(InputError) as caught:
+        load_scenario(str(path))
+    assert f"mine.yaml:{line}: " in str(caught.value)
+    assert reason in str(caught.value)
+
+
+def test_an_unknown_name_lists_the_known_ones():
+    with pytest.raises(InputError, match="sine-1hz"):
+        load_scenario("sine")
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(InputError, match="gone.yaml"):
+        load_scenario(str(tmp_path / "gone.yaml"))
+
+
+def test_there_must_be_a_short_form_to_ask_for_one(tmp_path):
+    with pytest.raises(InputError, match="no short form"):
+        load_scenario(str(write(tmp_path, "title: x")), short=True)
+
+
+def test_files_count_from_the_scenario_s_folder(tmp_path, monkeypatch):
+    assert load_scenario(str(write(tmp_path, "title: x"))).folder == tmp_path
+    monkeypatch.setenv("DEEPSEIS_DATA", str(tmp_path / "data"))
+    assert load_scenario("quake").folder == tmp_path / "data"
+
+
+def test_the_files_hold_nothing_but_settings():
+    for name in PAPERS:
+        assert set(read_yaml(FOLDER / f"{name}.yaml").value) >= {"title", "source", "short"}
