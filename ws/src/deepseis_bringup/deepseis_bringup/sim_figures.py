@@ -25,10 +25,11 @@ from deepseis_bringup.report_plot import (
     signed,
     with_breaks,
 )
-from deepseis_bringup.sim_pictures import PERIODS, Envelope, Pictures
+from deepseis_bringup.sim_envelope import Envelope
+from deepseis_bringup.sim_pictures import PERIODS, Pictures
 from deepseis_core.imu_grades import STANDARD_GRAVITY
 from deepseis_core.types import FloatArray
-from deepseis_sim.artificial_earthquake import Artificial
+from deepseis_sim.artificial_earthquake import SHORTEST_PERIOD, Artificial
 from deepseis_sim.design_spectrum import LONGEST_PERIOD
 
 ENU: Final = ("E", "N", "U")
@@ -220,6 +221,8 @@ def _along_time(pictures: Pictures, track: FloatArray) -> Figure:
 
 def speed(track: FloatArray) -> FloatArray:
     """Return the speed [m/s] along a track, shape (n, 4): time [s] and position [m]."""
+    if len(track) < 2:
+        return np.zeros(len(track))
     along = np.gradient(track[:, 1:], track[:, 0], axis=0)
     return np.asarray(np.linalg.norm(along, axis=1))
 
@@ -272,7 +275,7 @@ def _target(pictures: Pictures) -> Artificial | None:
 def _design(target: Artificial) -> list[dict[str, Any]]:
     """Draw the design spectra, horizontal and vertical, and how far off they may be met."""
     data: list[dict[str, Any]] = []
-    period = np.geomspace(PERIODS[0], LONGEST_PERIOD, 150).clip(max=LONGEST_PERIOD)
+    period = np.geomspace(SHORTEST_PERIOD, LONGEST_PERIOD, 150).clip(max=LONGEST_PERIOD)
     for component, name in ((0, "design, horizontal"), (2, "vertical")):
         goal = target.spectrum(component).coefficient(period)
         band = [(1.0 + target.tolerance) * goal, ((1.0 - target.tolerance) * goal)[::-1]]
@@ -293,7 +296,7 @@ def _design(target: Artificial) -> list[dict[str, Any]]:
 
 def _powers(low: float, high: float) -> dict[str, Any]:
     """Return a logarithmic axis over few decades or many."""
-    if high < 100.0 * low:
+    if high < 500.0 * low:
         return decades(low, high)
     return {"type": "log", "range": [float(np.log10(low)), float(np.log10(high))], "dtick": 1}
 
@@ -328,6 +331,31 @@ def inertial(pictures: Pictures) -> list[Figure]:
     return figures
 
 
+def velocimeter(pictures: Pictures) -> Figure | None:
+    """Velocity as the laser velocimeter measures it."""
+    if pictures.bench.scenario.ldv is None or not np.isfinite(pictures.ldv.peak(0)):
+        return None
+    rows = _rows(pictures.ldv, 0, [0.0] * 2, 1.0, ("forward", "up"))
+    span = nice_span([1.1 * max(_peak(row) for row in rows)])
+    caption = f"As measured, in the axes of the sensor. Each row spans ±{span:g} m/s."
+    panel = _drawn(pictures, rows, span, "m/s", "peak, m/s")
+    return Figure("Laser velocimeter", caption, [panel])
+
+
+def positions(pictures: Pictures) -> Figure | None:
+    """Errors of the positions that are given instead of a receiver's."""
+    if pictures.bench.scenario.positions is None or not np.isfinite(pictures.fixes.peak(0)):
+        return None
+    rows = _rows(pictures.fixes, 0, [0.0] * 3, 1e3, ENU)
+    span = nice_span([1.1 * max(_peak(row) for row in rows)])
+    end = pictures.bench.scenario.duration
+    panel = rows_panel(rows, end, span, "mm", note_title="peak, mm")
+    layout = merged(panel.layout, *marks(pictures), {"margin": {"r": 74, "t": 24}})
+    caption = f"Given positions of the antenna less the true ones. Each row spans ±{span:g} mm."
+    shown = Panel(panel.data, layout, height=66 * len(rows) + 70)
+    return Figure("Errors of the positions", caption, [shown])
+
+
 def _level(pictures: Pictures, record: Envelope, column: int) -> float:
     """Return the middle of a record before the motion begins, or of all of it."""
     t, y = record.record(column)
@@ -336,9 +364,15 @@ def _level(pictures: Pictures, record: Envelope, column: int) -> float:
     return float(np.median(chosen)) if chosen.size else float("nan")
 
 
-def _rows(record: Envelope, first: int, levels: Sequence[float], factor: float) -> list[Row]:
+def _rows(
+    record: Envelope,
+    first: int,
+    levels: Sequence[float],
+    factor: float,
+    names: Sequence[str] = FLU,
+) -> list[Row]:
     rows = []
-    for k, (name, level) in enumerate(zip(FLU, levels, strict=True)):
+    for k, (name, level) in enumerate(zip(names, levels, strict=True)):
         t, y = record.record(first + k)
         t, y = with_breaks(t, factor * (y - level))
         row = Row(name, PALETTE[k], *envelope(t, y, POINTS))

@@ -61,7 +61,14 @@ def sections(pictures: Pictures, colours: Colours) -> list[tuple[str, list[Figur
                 motion.response(pictures, half=len(way) == 1),
             ],
         ),
-        ("Inertial unit", [*motion.inertial(pictures)]),
+        (
+            "Sensors",
+            [
+                *motion.inertial(pictures),
+                motion.velocimeter(pictures),
+                motion.positions(pictures),
+            ],
+        ),
         (
             "Sky and signal",
             [

@@ -2,106 +2,28 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import welch
 
+from deepseis_bringup.sim_envelope import Envelope, window_of
 from deepseis_core.constants import L1_WAVELENGTH
 from deepseis_core.if_format import IfFormat
-from deepseis_core.types import FloatArray, IfBlock, ImuSample, IntArray, Truth
+from deepseis_core.types import FloatArray, IfBlock, IntArray, Pvt, Truth
 from deepseis_sim.bench import Bench
 from deepseis_sim.bench_streams import Item
 from deepseis_sim.response_spectrum import ResponseSpectrum, response_spectrum
 
-BINS: Final = 1500
-"""Pieces of a record along time: of each the least and the greatest value is kept."""
 TRACK_POINTS: Final = 5000
 ORBIT_POINTS: Final = 500
 """Samples of what the satellites' own motion does to the Doppler."""
-IMU_BATCH: Final = 500
 SPECTRUM_HZ: Final = 200.0
 LONGEST_SPECTRUM: Final = 400.0
 """Length of the motion that the response spectrum covers [s]."""
 PERIODS: Final = np.geomspace(0.02, 10.0, 120)
 IF_SECONDS: Final = 0.1
 SEGMENT: Final = 4096
-
-
-class Envelope:
-    """Least and greatest values of a record in bins of time, and when they were reached.
-
-    Parameters
-    ----------
-    start, end : float
-        Of the record [s]; what lies outside does not count.
-    columns : int
-        Values at a time. What is not finite is a hole.
-    """
-
-    def __init__(self, start: float, end: float, columns: int) -> None:
-        self.start, self.end = start, end
-        self.low = np.full((BINS, columns), np.inf)
-        self.high = np.full((BINS, columns), -np.inf)
-        self._low_t = np.zeros((BINS, columns))
-        self._high_t = np.zeros((BINS, columns))
-
-    def add(self, t: FloatArray, values: NDArray[Any]) -> None:
-        """Take in values, shape (n, columns), at ascending times [s]."""
-        inside = (t >= self.start) & (t <= self.end)
-        t, values = t[inside], values[inside]
-        at = ((t - self.start) / (self.end - self.start) * BINS).astype(np.int64)
-        at = np.minimum(at, BINS - 1)
-        edges = [0, *(np.flatnonzero(np.diff(at)) + 1), t.size]
-        for a, b in pairwise(edges):
-            if a < b:
-                self._take(int(at[a]), t[a:b], values[a:b])
-
-    def _take(self, number: int, t: FloatArray, values: NDArray[Any]) -> None:
-        holes = ~np.isfinite(values)
-        for best, when, sign in ((self.low, self._low_t, 1.0), (self.high, self._high_t, -1.0)):
-            signed = np.where(holes, np.inf, sign * values)
-            row = signed.argmin(axis=0)
-            least = signed.min(axis=0)
-            better = least < sign * best[number]
-            best[number][better] = sign * least[better]
-            when[number][better] = t[row][better]
-
-    def record(self, column: int) -> tuple[FloatArray, FloatArray]:
-        """Return times and values of all extremes in the order in which they came."""
-        kept = np.isfinite(self.low[:, column])
-        t = np.stack([self._low_t[kept, column], self._high_t[kept, column]], axis=1)
-        y = np.stack([self.low[kept, column], self.high[kept, column]], axis=1)
-        order = np.argsort(t, axis=1, kind="stable")
-        t = np.take_along_axis(t, order, axis=1).ravel()
-        y = np.take_along_axis(y, order, axis=1).ravel()
-        new = np.append(True, np.diff(t) > 0.0)[: t.size]
-        return t[new], y[new]
-
-    def peak(self, column: int) -> float:
-        """Return the greatest absolute value."""
-        values = np.concatenate([self.low[:, column], self.high[:, column]])
-        values = values[np.isfinite(values)]
-        return float(np.abs(values).max()) if values.size else float("nan")
-
-
-def window_of(span: tuple[float, float], duration: float) -> tuple[float, float]:
-    """Return the part of a run that shows its motion: long rests before and after are cut.
-
-    Examples
-    --------
-    >>> window_of((900.0, 1020.0), 1020.0)
-    (888.0, 1020.0)
-    >>> window_of((0.0, 0.0), 60.0)
-    (0.0, 60.0)
-    """
-    begin, end = max(span[0], 0.0), min(span[1], duration)
-    if end <= begin:
-        return 0.0, duration
-    margin = max(0.1 * (end - begin), 2.0)
-    return max(begin - margin, 0.0), min(end + margin, duration)
 
 
 class Pictures:
@@ -116,6 +38,12 @@ class Pictures:
     ----------
     position, velocity, acceleration : Envelope
         Of the antenna against where it stood, east, north, up [m, m/s, m/s^2].
+    imu : Envelope
+        Angular rate [rad/s] and specific force [m/s^2] as measured, forward, left, up.
+    ldv : Envelope
+        Forward and vertical velocity [m/s] as measured.
+    fixes : Envelope
+        Errors of the positions that are given, east, north, up [m].
     cn0, doppler : Envelope
         C/N0 [dB-Hz] and carrier Doppler [Hz] of the satellites, over the whole run.
     window : tuple of float
@@ -127,7 +55,8 @@ class Pictures:
         self.window = window_of(bench.motion.span, duration)
         self.position, self.velocity = Envelope(*self.window, 3), Envelope(*self.window, 3)
         self.acceleration = Envelope(*self.window, 3)
-        self._imu, self._imu_rows = Envelope(*self.window, 6), list[FloatArray]()
+        self.imu, self.ldv = Envelope(*self.window, 6), Envelope(*self.window, 2)
+        self.fixes = Envelope(0.0, duration, 3)
         self.satellites = tuple(item.satellite for item in bench.model.satellites)
         self.cn0 = Envelope(0.0, duration, len(self.satellites))
         self.doppler = Envelope(0.0, duration, len(self.satellites))
@@ -147,7 +76,15 @@ class Pictures:
         if item.topic == "truth":
             self._add_truth(item.value)
         elif item.topic == "imu/data_raw":
-            self._add_imu(item.value, item.offset_ns / 1e9)
+            imu = item.value
+            rates = np.concatenate([imu.angular_velocity, imu.linear_acceleration])
+            self.imu.push(item.offset_ns / 1e9, rates)
+        elif item.topic == "ldv/velocity":
+            ldv = item.value
+            velocity = np.array([ldv.forward_velocity, ldv.vertical_velocity])
+            self.ldv.push(item.offset_ns / 1e9, velocity)
+        elif item.topic == "gnss/pvt":
+            self._add_fix(item.value)
         elif item.topic == "if/samples":
             self._add_block(item.value)
 
@@ -176,7 +113,9 @@ class Pictures:
     def _add_orbits(self, truth: Truth, t: FloatArray) -> None:
         """Keep now and then the Doppler that is left when the antenna's velocity is taken off."""
         last = self._orbits[-1][0] if self._orbits else -np.inf
-        if not t.size or t[0] - last < self.bench.scenario.duration / ORBIT_POINTS:
+        if not t.size or not truth.sample_index.size:
+            return
+        if t[0] - last < self.bench.scenario.duration / ORBIT_POINTS:
             return
         (elevation,), (azimuth,) = self.bench.sky.directions(t[:1])
         flat = np.cos(elevation)
@@ -189,32 +128,19 @@ class Pictures:
         own = truth.carrier_doppler_hz[0] - nearing / L1_WAVELENGTH
         self._orbits.append(np.append(t[0], own))
 
-    def _add_imu(self, sample: ImuSample, t: float) -> None:
-        row = np.concatenate([[t], sample.angular_velocity, sample.linear_acceleration])
-        self._imu_rows.append(row)
-        if len(self._imu_rows) >= IMU_BATCH:
-            self._take_imu()
-
-    def _take_imu(self) -> None:
-        if self._imu_rows:
-            rows = np.array(self._imu_rows)
-            self._imu.add(rows[:, 0], rows[:, 1:])
-            self._imu_rows.clear()
+    def _add_fix(self, fix: Pvt) -> None:
+        """Keep how far a position is off."""
+        t = np.array([fix.sample_index / self.bench.sample_rate_hz])
+        (true,) = self.bench.model.antenna(t - self.bench.clock(t))
+        self.fixes.push(float(t[0]), (fix.position_ecef - true) @ self.bench.site.C_e_enu)
 
     def _add_block(self, block: IfBlock) -> None:
-        begin, end = self.bench.motion.span
-        middle = (begin + min(end, self.bench.scenario.duration)) / 2.0
+        middle = sum(self.window) / 2.0
         if block.sample_index < middle * block.sample_rate_hz - block.sample_count:
             return
         if self._if_samples < IF_SECONDS * block.sample_rate_hz:
             self._if_data.append(block.data)
             self._if_samples += block.sample_count
-
-    @property
-    def imu(self) -> Envelope:
-        """Angular rate [rad/s] and specific force [m/s^2] as measured, forward, left, up."""
-        self._take_imu()
-        return self._imu
 
     @property
     def track(self) -> FloatArray:

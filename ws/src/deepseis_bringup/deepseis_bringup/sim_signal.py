@@ -19,13 +19,12 @@ from deepseis_bringup.report_plot import (
     envelope,
     line,
     merged,
-    moment,
     nice_span,
     packed,
     rows_panel,
     time_axis,
 )
-from deepseis_bringup.sim_figures import marks, plain
+from deepseis_bringup.sim_figures import marks, moves, plain
 from deepseis_bringup.sim_pictures import Pictures
 from deepseis_core.constants import CA_RATE_CPS, L1_HZ
 from deepseis_core.types import FloatArray, IntArray
@@ -268,7 +267,8 @@ def spectrum(pictures: Pictures) -> Figure | None:
         "yaxis": axis("power density [dB]", range=limits),
     }
     caption = (
-        "Power density of the samples against its median, over 0.1 s in the middle of the motion. "
+        "Power density of the samples against its median, over 0.1 s "
+        f"in the middle of the {'motion' if moves(pictures) else 'run'}. "
         "Dotted: C/A codes of the satellites in white noise"
     )
     caption += ", without jammers." if pictures.bench.scenario.jammers else "."
@@ -302,13 +302,8 @@ def histogram(pictures: Pictures) -> Figure | None:
             "hovertemplate": "level %{x}: %{y:.2f} %<extra></extra>",
         },
         {
-            **{"type": "scatter", "mode": "markers", "x": packed(x), "y": packed(100 * ideal)},
-            **{"showlegend": False, "cliponaxis": False},
-            "marker": {
-                "symbol": "line-ew",
-                "size": max(8, min(26, 300 // x.size)),
-                "line": {"width": 2.5, "color": "@ink"},
-            },
+            **{"type": "scatter", "mode": "lines", "x": packed(x), "y": packed(100 * ideal)},
+            **{"showlegend": False, "line": {"shape": "hvh", "width": 1.8, "color": "@ink"}},
             "hovertemplate": "normal variable: %{y:.2f} %<extra></extra>",
         },
     ]
@@ -321,7 +316,7 @@ def histogram(pictures: Pictures) -> Figure | None:
     }
     caption = (
         f"{'Real samples' if packing.is_real else 'I and Q together'}, "
-        f"{packing.bits} bit{'s' if packing.bits > 1 else ''}. Dashes: a normal variable at the "
+        f"{packing.bits} bit{'s' if packing.bits > 1 else ''}. Line: a normal variable at the "
         f"step of least distortion, {OPTIMUM_STEP[packing.bits]:.3g} {SIGMA}."
     )
     return Figure("Quantiser", caption, [Panel(data, layout, 320)], half=True)

@@ -14,6 +14,7 @@ from typing import Any, BinaryIO
 from deepseis_bringup.input_bag import ORDER, InputBag
 from deepseis_bringup.run_records import input_hash, versions
 from deepseis_bringup.runs import progress_bar
+from deepseis_bringup.sim_page import page
 from deepseis_bringup.sim_pictures import Pictures
 from deepseis_core.errors import InputError
 from deepseis_core.rinex_nav import write_rinex_nav
@@ -58,7 +59,7 @@ def simulate(
     scenario : Scenario
     folder : Path
         New or empty. Gets ``bag/``, ``truth.npz``, ``nav.rnx``, RINEX of the base and of
-        observations that stand for the signal, and ``summary.json``.
+        observations that stand for the signal, ``summary.json`` and ``report.html``.
     keep_raw : bool, optional
         Leave the samples as ``if.bin`` with a descriptor too.
     progress : bool, optional
@@ -94,6 +95,8 @@ def simulate(
             **{f"version_{name}": value for name, value in versions().items()},
         }
         (folder / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+        text = page(outlet.pictures, summary, folder, scenario.title or scenario.name)
+        (folder / "report.html").write_text(text, encoding="utf-8")
     return summary
 
 

@@ -205,13 +205,13 @@ class ArtificialEarthquake(Upright):
 
 
 def envelope(time: FloatArray, t1: float, t2: float, t3: float, decay: float) -> FloatArray:
-    """Return the envelope f(t) of the paper's equation 4::
+    """Return the envelope f(t) of the paper's equation 4.
+
+    Before the last seconds, over which it fades so that acceleration ends without a step::
 
         (t / t1)^2              0  <= t < t1
         1                       t1 <= t < t2
         exp(-c (t - t2))        t2 <= t < t3
-
-    faded over the last seconds, so that the acceleration ends without a step.
     """
     fade = np.sin(0.5 * np.pi * np.clip((t3 - time) / FADE, 0.0, 1.0)) ** 2
     return np.minimum(time / t1, 1.0) ** 2 * np.exp(-decay * np.maximum(time - t2, 0.0)) * fade
@@ -220,7 +220,9 @@ def envelope(time: FloatArray, t1: float, t2: float, t3: float, decay: float) ->
 def kaul_amplitudes(
     frequencies_hz: FloatArray, spectrum: DesignSpectrum, duration: float, not_exceeded: float
 ) -> FloatArray:
-    """Return amplitudes of cosines after Kaul's relation (the paper's equations 2 and 5)::
+    """Return amplitudes of cosines after Kaul's relation.
+
+    The paper's equations 2 and 5::
 
         S(w) = xi / (pi w) Sa(w)^2 / (-ln(-pi / (w Td) ln p)),    C = sqrt(4 S dw)
 

@@ -140,7 +140,9 @@ class DesignSpectrum:
         return max(1.0 + (0.05 - self.damping) / (0.08 + 1.6 * self.damping), 0.55)
 
     def coefficient(self, period: ArrayLike) -> FloatArray:
-        """Return the influence coefficient ``alpha(T)`` (figure 5.1.5)::
+        """Return the influence coefficient ``alpha(T)``.
+
+        Figure 5.1.5::
 
             [0.45 + (eta2 - 0.45) T / 0.1] alpha_max            0   <= T < 0.1 s
             eta2 alpha_max                                      0.1 <= T < Tg
@@ -165,7 +167,7 @@ class DesignSpectrum:
         rise = REST_SHARE + (eta2 - REST_SHARE) * T / RISE_END
         curve = eta2 * (Tg / np.maximum(T, Tg)) ** gamma
         line = eta2 * 0.2**gamma - self.slope_factor * (T - 5.0 * Tg)
-        shape = np.select([T < RISE_END, T < 5.0 * Tg], [rise, curve], line)
+        shape = np.select([T < RISE_END, T / Tg < 5.0], [rise, curve], line)
         return self.alpha_max * shape
 
     def acceleration(self, period: ArrayLike) -> FloatArray:

@@ -118,10 +118,9 @@ def extreme_responses(
     w2 = _squared_frequency(T)
     for chosen, parts in _groups(T, step):
         coefficients = _recursion(T[chosen], step / parts, damping)
-        furthest = np.zeros((2, chosen.size))
-        index = np.zeros((2, chosen.size), dtype=np.int64)
-        _furthest(record, parts, coefficients, furthest, index)
-        value[:, chosen] = -w2[chosen] * furthest
+        u, index = np.zeros((2, chosen.size)), np.zeros((2, chosen.size))
+        _furthest(record, parts, coefficients, u[0], u[1], index[0], index[1])
+        value[:, chosen] = -w2[chosen] * u
         time[:, chosen] = index * (step / parts)
     at = np.array([np.argmax(record), np.argmin(record)])
     rigid = T == 0.0
@@ -168,13 +167,16 @@ def _damping_rates(T: FloatArray, damping: float) -> FloatArray:
 
 
 def _recursion(T: FloatArray, h: float, xi: float) -> FloatArray:
-    """Return the exact recursion over a step ``h``, shape (8, m)::
+    """Return the exact recursion over a step ``h``, shape (8, m).
+
+    Its coefficients::
 
         u1 = c0 u + c1 v + c2 a + c3 a1
         v1 = c4 u + c5 v + c6 a + c7 a1
 
     ``a`` and ``a1`` being the ground's acceleration at the step's ends. The particular solution
-    for a ramp is ``-(a + s t) / w^2 + 2 xi s / w^3``, ``s = (a1 - a) / h``; the rest decays freely.
+    for a ramp is ``-(a + s t) / w^2 + 2 xi s / w^3``, ``s = (a1 - a) / h``; the rest of the
+    motion decays freely.
     """
     w = 2.0 * np.pi / T
     wd = w * np.sqrt(1.0 - xi * xi)
@@ -223,9 +225,19 @@ def _greatest(
 
 @njit(cache=True, nogil=True)
 def _furthest(
-    record: FloatArray, parts: int, c: FloatArray, furthest: FloatArray, index: IntArray
+    record: FloatArray,
+    parts: int,
+    c: FloatArray,
+    least: FloatArray,
+    most: FloatArray,
+    when_least: FloatArray,
+    when_most: FloatArray,
 ) -> None:
-    """Fill in least and greatest displacement (2, m), and their (divided) steps."""
+    """Fill in least and greatest displacement (m,), and their (divided) steps.
+
+    Steps are counted in floating point and rows passed one by one, so that the loop over the
+    oscillators becomes vector instructions.
+    """
     m = c.shape[1]
     u, v = np.zeros(m), np.zeros(m)
     for i in range(1, record.size):
@@ -233,13 +245,12 @@ def _furthest(
         for part in range(parts):
             a = before + rise * part
             a1 = before + rise * (part + 1)
-            now = (i - 1) * parts + part + 1
+            now = float((i - 1) * parts + part + 1)
             for k in range(m):
                 x = c[0, k] * u[k] + c[1, k] * v[k] + c[2, k] * a + c[3, k] * a1
                 v[k] = c[4, k] * u[k] + c[5, k] * v[k] + c[6, k] * a + c[7, k] * a1
                 u[k] = x
-                less, more = x < furthest[0, k], x > furthest[1, k]
-                furthest[0, k] = x if less else furthest[0, k]
-                index[0, k] = now if less else index[0, k]
-                furthest[1, k] = x if more else furthest[1, k]
-                index[1, k] = now if more else index[1, k]
+                when_least[k] = now if x < least[k] else when_least[k]
+                least[k] = x if x < least[k] else least[k]
+                when_most[k] = now if x > most[k] else when_most[k]
+                most[k] = x if x > most[k] else most[k]

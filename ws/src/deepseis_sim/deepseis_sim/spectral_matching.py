@@ -35,7 +35,7 @@ ComplexArray = NDArray[np.complex128]
 OVERSAMPLING: Final = 4
 """Short oscillators see the record at so many times its rate."""
 
-SHORT_PERIOD: Final = 0.4
+SHORT_PERIOD: Final = 0.2
 """Oscillators of longer period take the samples as they are [s]."""
 
 RIGID_PERIOD: Final = 0.02
@@ -83,7 +83,7 @@ class CosineSum:
     @property
     def time(self) -> FloatArray:
         """Of the samples, shape (n,) [s]."""
-        return self.step * np.arange(self.size)
+        return np.arange(self.size, dtype=np.float64) * self.step
 
     @property
     def frequencies_hz(self) -> FloatArray:
@@ -298,9 +298,7 @@ class _Problem:
         """Rows of the responses of oscillators at moments, over the aim."""
         series, goal = self.series, self.goal
         weights = np.zeros((time.size, series.size))
-        _reversed_responses(
-            goal.periods[oscillator], goal.damping, time, series.step, weights
-        )
+        _reversed_responses(goal.periods[oscillator], goal.damping, time, series.step, weights)
         for i in np.flatnonzero(oscillator == 0):
             weights[i] = np.sinc((series.time - time[i]) / series.step)
         aim = AIM * goal.spectrum[oscillator, np.newaxis]
@@ -355,5 +353,3 @@ def _reversed_responses(
         for k in range(last, -1, -1):
             weights[i, k] = value.imag
             value *= turn
-
-
