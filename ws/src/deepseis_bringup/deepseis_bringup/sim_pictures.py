@@ -45,9 +45,9 @@ class Pictures:
     fixes : Envelope
         Errors of the positions that are given, east, north, up [m].
     cn0, doppler : Envelope
-        C/N0 [dB-Hz] and carrier Doppler [Hz] of the satellites, over the whole run.
+        C/N0 [dB-Hz] and carrier Doppler [Hz] of the satellites.
     window : tuple of float
-        First and last moment of the records of motion and IMU [s].
+        First and last moment of these records [s]; C/N0 and positions cover the whole run.
     """
 
     def __init__(self, bench: Bench) -> None:
@@ -59,7 +59,7 @@ class Pictures:
         self.fixes = Envelope(0.0, duration, 3)
         self.satellites = tuple(item.satellite for item in bench.model.satellites)
         self.cn0 = Envelope(0.0, duration, len(self.satellites))
-        self.doppler = Envelope(0.0, duration, len(self.satellites))
+        self.doppler = Envelope(*self.window, len(self.satellites))
         rate = bench.scenario.truth_rate_hz
         self._track_step = max(1, round((self.window[1] - self.window[0]) * rate / TRACK_POINTS))
         self._shaking_step = max(1, round(rate / SPECTRUM_HZ))

@@ -239,8 +239,7 @@ def _without_orbit(pictures: Pictures, number: int) -> tuple[FloatArray, FloatAr
     domain = [0.0, duration]
     smooth = Chebyshev.fit(orbits[:, 0], orbits[:, 1 + number], degree, domain=domain)
     t, y = pictures.doppler.record(number)
-    inside = (t >= pictures.window[0]) & (t <= pictures.window[1])
-    return t[inside], y[inside] - smooth(t[inside])
+    return t, y - smooth(t)
 
 
 def spectrum(pictures: Pictures) -> Figure | None:

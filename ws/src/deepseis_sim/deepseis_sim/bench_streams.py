@@ -124,7 +124,7 @@ class TruthStream:
         states = self.site.states(self.motion, true_time, self.lever_arm_b)
         attitude = orientation_xyzw(self.motion.at(true_time), self._attitude)
         attitude = np.broadcast_to(attitude, (len(time), 4))
-        self._attitude = attitude[-1]
+        self._attitude = attitude[-1] if len(time) else self._attitude
         satellite_numbers = self.satellite_ticks.between(begin, end)
         satellite_time = self.satellite_ticks.times(satellite_numbers)
         rows = truth_rows(self.model, satellite_time)
