@@ -9,7 +9,7 @@ from deepseis_bringup.simulate import simulate
 from deepseis_core.errors import InputError
 from deepseis_core.mcap_scan import McapScan
 from deepseis_core.ros import codecs
-from deepseis_core.ros.imu import decode_imu
+from deepseis_core.imu_message import decode_imu
 from deepseis_core.sample_clock import SampleClock
 from deepseis_frontend.if_bag import IfBag
 from deepseis_frontend.if_file import IfFile

@@ -35,6 +35,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
+            "imu_source = deepseis_frontend.nodes.imu_source:main",
             "if_source = deepseis_frontend.nodes.if_source:main",
         ],
     },

@@ -35,6 +35,8 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
+            "fusion = deepseis_ins.nodes.fusion:main",
+            "motion_state = deepseis_ins.nodes.motion_state:main",
             "truth_aiding = deepseis_ins.nodes.truth_aiding:main",
         ],
     },

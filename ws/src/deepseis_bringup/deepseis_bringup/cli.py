@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from deepseis_bringup import cli_bags, cli_runs, cli_sim, cli_station
+from deepseis_bringup import cli_bags, cli_runs, cli_sim, cli_station, cli_theory
 
 app = typer.Typer(
     help="A GNSS/INS seismograph station: ground motion through strong earthquakes.",
@@ -60,7 +60,7 @@ def run(
         raise typer.Exit(2) from None
 
 
-for commands in (cli_runs, cli_station, cli_bags, cli_sim):
+for commands in (cli_runs, cli_station, cli_bags, cli_sim, cli_theory):
     commands.register(app)
 
 

@@ -28,11 +28,17 @@ TYPES: Mapping[str, tuple[str, str]] = {
     "gnss/pvt": ("deepseis_msgs/msg/Pvt", "stream"),
     "gnss/fix": ("sensor_msgs/msg/NavSatFix", "stream"),
     "aiding/doppler": ("deepseis_msgs/msg/DopplerAiding", "stream"),
+    "motion/state": ("deepseis_msgs/msg/MotionState", "latched"),
+    "ins/solution": ("deepseis_msgs/msg/InsSolution", "stream"),
+    "ins/odometry": ("nav_msgs/msg/Odometry", "stream"),
     "/diagnostics": ("diagnostic_msgs/msg/DiagnosticArray", "stream"),
 }
 """Type and quality of service of every topic that is recorded or played."""
 
-KINDS = ("if_source", "acquisition", "tracker", "pvt", "truth_aiding", "recorder")
+KINDS = (
+    *("if_source", "imu_source", "acquisition", "tracker", "pvt", "motion_state", "fusion"),
+    *("truth_aiding", "recorder"),
+)
 """Kinds of nodes; overrides of parameters go by kind."""
 
 
@@ -41,7 +47,8 @@ class GraphConfig:
     """What the station runs.
 
     ``one_process`` hosts all satellites together; otherwise each has its own process.
-    ``aiding`` names who publishes aiding: empty or ``truth`` (bench only).
+    ``aiding`` names who publishes aiding: empty, ``fusion`` (the inertial half of the graph), or
+    ``truth`` (bench only).
     ``parameters`` are overrides by node kind (``if_source``, ``tracker``, ``pvt``, ...).
     """
 
@@ -169,6 +176,8 @@ def build_graph(config: GraphConfig) -> list[NodeSpec]:
     ]
     if config.aiding == "truth":
         nodes.append(_truth_aiding(config))
+    if config.aiding == "fusion":
+        nodes += _inertial(config)
     source = NodeSpec(
         "if_source",
         "deepseis_frontend",
@@ -204,6 +213,41 @@ def _truth_aiding(config: GraphConfig) -> NodeSpec:
         "truth_aiding",
         parameters,
     )
+
+
+def _inertial(config: GraphConfig) -> list[NodeSpec]:
+    """Return the inertial half: the IMU, still or moving, fusion."""
+    imu_source = NodeSpec(
+        "imu_source",
+        "deepseis_frontend",
+        "imu_source",
+        "imu_source",
+        ("imu/data_raw", "station", "/diagnostics"),
+        (),
+        "imu_source",
+        {"file": config.source["file"]},
+    )
+    motion_state = NodeSpec(
+        "motion_state",
+        "deepseis_ins",
+        "motion_state",
+        "motion_state",
+        ("motion/state", "/diagnostics"),
+        ("imu/data_raw",),
+        "motion_state",
+        {"sample_rate_hz": config.sample_rate_hz},
+    )
+    fusion = NodeSpec(
+        "fusion",
+        "deepseis_ins",
+        "fusion",
+        "fusion",
+        ("aiding/doppler", "ins/solution", "ins/odometry", "/diagnostics"),
+        ("imu/data_raw", "motion/state", "gnss/pvt", "gnss/ephemeris"),
+        "fusion",
+        {"satellites": list(config.satellites), "sample_rate_hz": config.sample_rate_hz},
+    )
+    return [imu_source, motion_state, fusion]
 
 
 def _recorder(config: GraphConfig, others: list[NodeSpec]) -> NodeSpec:

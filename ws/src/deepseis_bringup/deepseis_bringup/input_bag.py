@@ -10,8 +10,8 @@ from typing import Any, Final
 from deepseis_bringup.graph import TYPES
 from deepseis_bringup.mcap_recording import BagWriter
 from deepseis_bringup.ros_definitions import TopicQos
+from deepseis_core.imu_message import encode_imu
 from deepseis_core.ros import codecs, qos
-from deepseis_core.ros.imu import encode_imu
 
 ENCODERS: Final[Mapping[str, Callable[[Any, int], bytes]]] = {
     "station": codecs.STATION.encode,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -164,7 +164,8 @@ def run_recording(
     config = with_records(graph_config(selection, source, folder, options), sha256)
     with own_domain() as environment:
         supervisor = Supervisor(build_graph(config), folder, environment=environment)
-        with running(supervisor), GraphWatch(environment) as watch:
+        members = [spec.name for spec in supervisor.specs if spec.name != "if_source"]
+        with running(supervisor), GraphWatch(environment, members=members) as watch:
             elapsed = _follow(supervisor, watch, source, options, progress)
     duration = _seconds(source, watch.valid_through)
     if duration <= 0:
@@ -193,14 +194,18 @@ def _follow(
     progress: bool,
 ) -> float:
     """Wait for the end, showing how far the source is; returns the graph's wall time [s]."""
-    if not progress:
-        supervisor.wait(poll=watch.poll, timeout=options.timeout)
-        return watch.elapsed()
     total = (source.total_samples or 0) / source.sample_rate_hz
-    with progress_bar("running the graph", total) as show:
-        supervisor.wait(poll=lambda: show(_seconds(source, watch.poll())), timeout=options.timeout)
+    with progress_bar("running the graph", total) if progress else nullcontext() as show:
+
+        def poll() -> None:
+            done = watch.poll()
+            watch.require_progress()
+            if show is not None:
+                show(_seconds(source, done))
+
+        supervisor.wait(poll=poll, timeout=options.timeout)
         elapsed = watch.elapsed()
-        show(_seconds(source, watch.valid_through))
+        poll()
     return elapsed
 
 

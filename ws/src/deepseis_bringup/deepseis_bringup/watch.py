@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from types import TracebackType
 from typing import Any, Self
 
@@ -12,8 +12,12 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from deepseis_core.errors import InputError
 from deepseis_core.ros import qos
 from deepseis_msgs.msg import Watermark
+
+PATIENCE = 180.0
+"""A run in which no node says anything for so long stands still [s]: compiling takes less."""
 
 
 class GraphWatch:
@@ -25,9 +29,16 @@ class GraphWatch:
         Of the graph's processes: its ROS_DOMAIN_ID counts.
     namespace : str
         The station's name, or empty.
+    members : iterable of str
+        Whose progress to follow besides the source's.
     """
 
-    def __init__(self, environment: Mapping[str, str], namespace: str = "") -> None:
+    def __init__(
+        self,
+        environment: Mapping[str, str],
+        namespace: str = "",
+        members: Iterable[str] = (),
+    ) -> None:
         number = environment.get("ROS_DOMAIN_ID")
         self.context = Context()
         rclpy.init(context=self.context, domain_id=int(number) if number else None)
@@ -42,21 +53,50 @@ class GraphWatch:
         self.executor.add_node(self.node)
         self.valid_through = -1
         self.started_at = self.ended_at = 0.0
+        self.moved_at = time.monotonic()
+        self.said: dict[str, Watermark] = {}
         self.node.create_subscription(
             Watermark, "flow/if_source", self._on_source, qos.STREAM_LATCHED
         )
+        for member in members:
+            self.node.create_subscription(
+                Watermark, f"flow/{member}", self._on_member, qos.STREAM_LATCHED
+            )
+
+    def _on_member(self, msg: Watermark) -> None:
+        self.said[msg.node] = msg
+        self.moved_at = time.monotonic()
+
+    def require_progress(self) -> None:
+        """Complain if nobody has said anything for `PATIENCE`.
+
+        Raises
+        ------
+        InputError
+            Naming how far each member is.
+        """
+        if time.monotonic() - self.moved_at < PATIENCE:
+            return
+        places = [
+            f"{name} {'ended' if msg.end_of_stream else f'at sample {msg.valid_through}'}"
+            for name, msg in sorted(self.said.items())
+        ]
+        reason = f"nothing has moved for {PATIENCE:g} s: {', '.join(places) or 'nobody spoke'}"
+        raise InputError("graph", reason, "its nodes wait for each other; see the logs")
 
     def _on_source(self, msg: Watermark) -> None:
         now = time.monotonic()
         if msg.valid_through >= 0 and not self.started_at:
             self.started_at = now
+        self.moved_at, self.said[msg.node] = now, msg
         if msg.valid_through > self.valid_through:
             self.ended_at = now
         self.valid_through = max(self.valid_through, msg.valid_through)
 
     def poll(self) -> int:
         """Take what has come; returns the last sample sent."""
-        self.executor.spin_once(timeout_sec=0.0)
+        for _ in range(len(self.said) + 1):
+            self.executor.spin_once(timeout_sec=0.0)
         return self.valid_through
 
     def elapsed(self) -> float:

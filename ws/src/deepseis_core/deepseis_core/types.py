@@ -310,3 +310,68 @@ class Truth:
     carrier_doppler_hz: FloatArray
     cn0_dbhz: Float32Array
     clock_bias: FloatArray
+
+
+class InsFilter(IntEnum):
+    """Which filter an inertial solution is from."""
+
+    LOOSE = 0
+    TIGHT = 1
+    GYRO_FREE = 2
+    LDV = 3
+
+
+@dataclass(frozen=True)
+class InsSolution:
+    """Inertial solution at n epochs, m measurement updates; fields of ``InsSolution.msg``.
+
+    Vectors have shape (n, 3), quaternions (n, 4), ``state_sd`` (n, state_count), innovations
+    (m, innovation_size); clocks have n values or none.
+    """
+
+    child_frame_id: str
+    filter: int
+    smoothed: bool
+    valid_through: int
+    sample_index: IntArray
+    tow_ns: IntArray
+    week: int
+    position_enu: FloatArray
+    velocity_enu: FloatArray
+    orientation_xyzw: FloatArray
+    acceleration_enu: FloatArray
+    gyro_bias: FloatArray
+    accelerometer_bias: FloatArray
+    clock_bias: FloatArray
+    clock_drift: FloatArray
+    state_sd: Float32Array
+    state_count: int
+    innovation_sample_index: IntArray
+    innovation: Float32Array
+    innovation_sd: Float32Array
+    innovation_size: int
+    innovation_accepted: NDArray[np.bool_]
+
+
+class MotionKind(IntEnum):
+    """Whether a station is still."""
+
+    UNKNOWN = 0
+    STATIC = 1
+    MOVING = 2
+
+
+@dataclass(frozen=True)
+class MotionState:
+    """Decision on still or moving; fields of ``MotionState.msg``.
+
+    The state holds from ``sample_index`` on, which may lie before the decision, and is decided
+    through ``valid_through``. Variances of gyros and accelerometers, x y z, forward-left-up.
+    """
+
+    sample_index: int
+    valid_through: int
+    state: int
+    policy: str
+    variance: Float32Array
+    threshold: Float32Array

@@ -55,7 +55,9 @@ RATE_HZ: Final = 200.0
 SHORTEST_PERIOD: Final = 0.04
 """Where the match of the spectrum begins [s]; it ends with the code's spectrum."""
 
-MATCHED_PERIODS: Final = 400
+PERIODS_PER_BANDWIDTH: Final = 10.0
+"""Matched periods within ``2 damping``, the relative width of a resonance."""
+
 ATTEMPTS: Final = 4
 """Draws of the phases before a spectrum is given up."""
 
@@ -110,7 +112,7 @@ class Artificial:
     tolerance: float = setting(
         0.05, "greatest relative deviation from the spectrum", low=0.02, high=0.5
     )
-    iterations: int = setting(25, "rounds of the match at most", low=1, high=200)
+    iterations: int = setting(15, "rounds of the match at most", low=1, high=200)
 
     def build(self, around: Surroundings) -> Motion:
         """Make the earthquake; the seed is that of the scenario."""
@@ -152,7 +154,9 @@ class Artificial:
         """Return samples of acceleration [m/s^2], the last one zero."""
         spectrum = self.spectrum(axis)
         series = self._series(axis)
-        periods = np.geomspace(SHORTEST_PERIOD, LONGEST_PERIOD, MATCHED_PERIODS)
+        octaves = math.log(LONGEST_PERIOD / SHORTEST_PERIOD)
+        count = math.ceil(PERIODS_PER_BANDWIDTH * octaves / (2.0 * self.damping))
+        periods = np.geomspace(SHORTEST_PERIOD, LONGEST_PERIOD, max(count, 200))
         periods = np.concatenate([[0.0], periods.clip(max=LONGEST_PERIOD)])
         goal = Goal(
             periods,
@@ -161,17 +165,21 @@ class Artificial:
             self.tolerance * TOLERANCE_SHARE,
         )
         size = kaul_amplitudes(series.frequencies_hz, spectrum, self.duration, self.not_exceeded)
-        least = math.inf
+        best = None
         for attempt in range(ATTEMPTS):
             rng = np.random.default_rng([seed, PHASE_STREAM, axis, attempt])
             phase = rng.uniform(0.0, 2.0 * np.pi, size.size)
             start: ComplexArray = size * np.exp(1j * phase)
             match = match_spectrum(series, start, goal, rounds=self.iterations)
-            least = min(least, match.deviation)
-            if match.deviation <= goal.tolerance:
-                return np.append(series.fine_samples(match.amplitudes)[::OVERSAMPLING], 0.0)
-        reason = f"the spectrum ({AXES[axis]}) comes within {100 * least:.1f} % only"
-        raise InputError("artificial", reason, "a longer duration, t2, or a greater tolerance")
+            if best is None or match.deviation < best.deviation:
+                best = match
+            if best.deviation <= goal.tolerance:
+                break
+        if best is None or best.deviation > self.tolerance:
+            within = f"{100.0 * best.deviation:.1f} %" if best else "nothing"
+            reason = f"the spectrum ({AXES[axis]}) comes within {within} only"
+            raise InputError("artificial", reason, "another duration, t2, seed or tolerance")
+        return np.append(series.fine_samples(best.amplitudes)[::OVERSAMPLING], 0.0)
 
     def _series(self, axis: int) -> CosineSum:
         """Return the cosines and the envelope of an axis."""
@@ -201,7 +209,7 @@ class ArtificialEarthquake(Upright):
 
     def at(self, time: FloatArray) -> Kinematics:
         """Evaluate at times [s], shape (m,)."""
-        return Kinematics(*self.path.evaluate(time))
+        return Kinematics(*self.path.evaluate(np.clip(time, *self.span)))
 
 
 def envelope(time: FloatArray, t1: float, t2: float, t3: float, decay: float) -> FloatArray:

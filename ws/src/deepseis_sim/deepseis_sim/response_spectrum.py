@@ -56,12 +56,12 @@ class ResponseSpectrum:
 
 
 @dataclass(frozen=True)
-class Extremes:
-    """How far each oscillator swings to either side, and when.
+class Peaks:
+    """When each oscillator is furthest out.
 
-    ``pseudo_acceleration``, shape (2, m), is the greatest and the least ``-w^2 u`` [m/s^2] (a
-    slow push of the ground is followed with its own sign); ``time``, shape (2, m), counts from
-    the first sample [s].
+    ``pseudo_acceleration``, shape (m,), is ``-w^2 u`` at that moment [m/s^2], with its sign (a
+    slow push of the ground is followed with its own); ``time``, shape (m,), counts from the
+    first sample [s].
     """
 
     pseudo_acceleration: FloatArray
@@ -109,24 +109,25 @@ def response_spectrum(
     return ResponseSpectrum(greatest[0], greatest[1], sa_pseudo, sa)
 
 
-def extreme_responses(
+def peak_responses(
     acceleration: ArrayLike, step: float, periods: ArrayLike, damping: float = 0.05
-) -> Extremes:
-    """Return each oscillator's extremes to both sides; parameters as in `response_spectrum`."""
+) -> Peaks:
+    """Return each oscillator's greatest pseudo-acceleration, and when it comes about.
+
+    Parameters as in `response_spectrum`.
+    """
     record, T = _checked(acceleration, step, periods, damping)
-    value, time = np.zeros((2, T.size)), np.zeros((2, T.size))
+    value, time = np.zeros(T.size), np.zeros(T.size)
     w2 = _squared_frequency(T)
     for chosen, parts in _groups(T, step):
         coefficients = _recursion(T[chosen], step / parts, damping)
-        u, index = np.zeros((2, chosen.size)), np.zeros((2, chosen.size))
-        _furthest(record, parts, coefficients, u[0], u[1], index[0], index[1])
-        value[:, chosen] = -w2[chosen] * u
-        time[:, chosen] = index * (step / parts)
-    at = np.array([np.argmax(record), np.argmin(record)])
+        u, index = np.zeros(chosen.size), np.zeros(chosen.size)
+        _furthest(record, parts, coefficients, u, index)
+        value[chosen], time[chosen] = -w2[chosen] * u, index * (step / parts)
+    at = int(np.argmax(np.abs(record)))
     rigid = T == 0.0
-    value[:, rigid] = record[at][:, np.newaxis]
-    time[:, rigid] = (at * step)[:, np.newaxis]
-    return Extremes(value, time)
+    value[rigid], time[rigid] = record[at], at * step
+    return Peaks(value, time)
 
 
 def _checked(
@@ -225,18 +226,12 @@ def _greatest(
 
 @njit(cache=True, nogil=True)
 def _furthest(
-    record: FloatArray,
-    parts: int,
-    c: FloatArray,
-    least: FloatArray,
-    most: FloatArray,
-    when_least: FloatArray,
-    when_most: FloatArray,
+    record: FloatArray, parts: int, c: FloatArray, furthest: FloatArray, when: FloatArray
 ) -> None:
-    """Fill in least and greatest displacement (m,), and their (divided) steps.
+    """Fill in each oscillator's furthest displacement, with its sign, and its (divided) step.
 
-    Steps are counted in floating point and rows passed one by one, so that the loop over the
-    oscillators becomes vector instructions.
+    Steps are counted in floating point so that the loop over the oscillators becomes vector
+    instructions.
     """
     m = c.shape[1]
     u, v = np.zeros(m), np.zeros(m)
@@ -250,7 +245,5 @@ def _furthest(
                 x = c[0, k] * u[k] + c[1, k] * v[k] + c[2, k] * a + c[3, k] * a1
                 v[k] = c[4, k] * u[k] + c[5, k] * v[k] + c[6, k] * a + c[7, k] * a1
                 u[k] = x
-                when_least[k] = now if x < least[k] else when_least[k]
-                least[k] = x if x < least[k] else least[k]
-                when_most[k] = now if x > most[k] else when_most[k]
-                most[k] = x if x > most[k] else most[k]
+                when[k] = now if abs(x) > abs(furthest[k]) else when[k]
+                furthest[k] = x if abs(x) > abs(furthest[k]) else furthest[k]

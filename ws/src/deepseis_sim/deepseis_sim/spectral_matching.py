@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from deepseis_core.types import FloatArray, IntArray
-from deepseis_sim.response_spectrum import extreme_responses
+from deepseis_sim.response_spectrum import peak_responses
 
 ComplexArray = NDArray[np.complex128]
 
@@ -41,7 +41,7 @@ SHORT_PERIOD: Final = 0.2
 RIGID_PERIOD: Final = 0.02
 """What stands for the period where the ground's own peak is meant [s]."""
 
-CONTROL_SHARE: Final = 4
+CONTROL_SHARE: Final = 8
 """Every so many-th period is always worked on, the others where they deviate."""
 
 RATIO_ROUNDS: Final = 3
@@ -50,11 +50,21 @@ AIM: Final = 1.01
 sharp cusps, those upwards are blunt."""
 
 WORTH_MOVING: Final = 0.02
+"""Deviation from which any oscillator is worked on."""
+
 HELD_FROM: Final = 0.85
 HELD_AT: Final = 0.97
+"""Lesser peaks above the one, relative to the aim, are kept below the other."""
+
 SAME_PEAK: Final = 1.0 / 40.0
 SAME_SWING: Final = 1.0 / 4.0
+"""Moments less than so many periods apart are taken for one, and for one swing's."""
+
 SOFTNESS: Final = 0.01
+"""What a wish left open costs against changing amplitudes: keeps the change small."""
+
+SHARES: Final = (1.0, 0.5, 0.25, 0.12)
+"""Of a change, tried one after the other: peaks move in time, heights are not quite linear."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +143,7 @@ class Match:
 
 @dataclass(frozen=True)
 class _Swings:
-    """Extremes over the aim (2, m), when (2, m) [s], and the greater one's excess (m,)."""
+    """Peaks over the aim, with their signs, and when [s]; both (m,)."""
 
     height: FloatArray
     time: FloatArray
@@ -141,7 +151,7 @@ class _Swings:
     @property
     def excess(self) -> FloatArray:
         """By how much each oscillator's peak exceeds the aim (m,)."""
-        return np.max(np.abs(self.height), axis=0) - 1.0
+        return np.abs(self.height) - 1.0
 
     @property
     def badness(self) -> float:
@@ -201,27 +211,27 @@ def _at_rest(rest: ComplexArray, amplitudes: ComplexArray) -> ComplexArray:
 
 
 def _swings(series: CosineSum, amplitudes: ComplexArray, goal: Goal) -> _Swings:
-    """Return the extremes of all oscillators."""
+    """Return the peaks of all oscillators."""
     fine = series.fine_samples(amplitudes)
     short = int(np.searchsorted(goal.periods, SHORT_PERIOD))
     parts = [
-        extreme_responses(record, step, periods, goal.damping)
+        peak_responses(record, step, periods, goal.damping)
         for record, step, periods in (
             (fine, series.step / OVERSAMPLING, goal.periods[:short]),
             (fine[::OVERSAMPLING], series.step, goal.periods[short:]),
         )
     ]
-    height = np.concatenate([part.pseudo_acceleration for part in parts], axis=1)
-    time = np.concatenate([part.time for part in parts], axis=1)
+    height = np.concatenate([part.pseudo_acceleration for part in parts])
+    time = np.concatenate([part.time for part in parts])
     return _Swings(height / (AIM * goal.spectrum), time)
 
 
 def _step(
     series: CosineSum, amplitudes: ComplexArray, change: ComplexArray, goal: Goal, badness: float
 ) -> tuple[ComplexArray, _Swings]:
-    """Go as far along the change as does good: the first much better, else the best, of four."""
+    """Go as far along the change as does good: the first much better, else the best."""
     tried = []
-    for share in (1.0, 0.5, 0.25, 0.12):
+    for share in SHARES:
         there = amplitudes + share * change
         swings = _swings(series, there, goal)
         tried.append((swings.badness, there, swings))
@@ -269,13 +279,10 @@ class _Problem:
 
     def _meet(self, swings: _Swings) -> None:
         """Take up peaks not met before; they replace those of the same swing."""
-        height = np.abs(swings.height)
         chosen = np.abs(swings.excess) > WORTH_MOVING
         chosen[::CONTROL_SHARE] = True
-        wanted = (height > 0.9) & chosen
-        wanted[np.argmax(height, axis=0), np.arange(chosen.size)] |= chosen
-        side, oscillator = np.nonzero(wanted)
-        time = swings.time[side, oscillator]
+        oscillator = np.flatnonzero(chosen)
+        time = swings.time[oscillator]
         known = self._distance(oscillator, time)
         fresh = ~np.any(known < SAME_PEAK, axis=1)
         if not fresh.any():
@@ -312,13 +319,11 @@ class _Problem:
         height = self.rows @ _real(amplitudes / self.weight)
         wanted = np.sign(height) * np.minimum(0.0, HELD_AT - np.abs(height))
         matters = np.abs(height) > HELD_FROM
-        every = np.arange(swings.height.shape[1])
-        side = np.argmax(np.abs(swings.height), axis=0)
-        distance = self._distance(every, swings.time[side, every])
+        every = np.arange(swings.height.size)
+        distance = self._distance(every, swings.time)
         row = np.argmin(distance, axis=1)
         met = distance[every, row] < SAME_PEAK
-        peak = swings.height[side, every]
-        wanted[row[met]] = (np.sign(peak) - peak)[met]
+        wanted[row[met]] = (np.sign(swings.height) - swings.height)[met]
         matters[row[met]] = True
         wanted[:2], matters[:2] = -height[:2], True
         return wanted, np.flatnonzero(matters)

@@ -15,18 +15,21 @@ from deepseis_core.types import (
     AcquisitionResult,
     Aiding,
     Ephemeris,
-    FloatArray,
     TrackingEpochs,
     TrackingFlag,
     TrackingMode,
 )
 from deepseis_tracking import channel_kernel
+from deepseis_tracking.aiding_span import AidingSpan
+from deepseis_tracking.baseband_window import BasebandWindow
 from deepseis_tracking.channel_state import CONFIG, EPOCH, EPOCH_FIELDS, STATE
 from deepseis_tracking.loop_filter import LoopGains, design_loop
 from deepseis_tracking.replica import ReplicaBank
 
 MS_PER_WEEK = 604_800_000
 IDLE = int(TrackingMode.IDLE)
+_KEPT = ("carrier_phase", "pending_flags", "noise", "aid_held", "aid_failures", "aid_wait_s")
+"""Of the state, from one signal to the next."""
 
 
 @dataclass(frozen=True)
@@ -57,86 +60,39 @@ class TrackingConfig:
     code_lock_dbhz: float = setting(27.0, "C/N0 that declares code lock [dB-Hz]", low=10, high=40)
     loss_dbhz: float = setting(23.0, "C/N0 that counts as lost [dB-Hz]", low=10, high=40)
     loss_s: float = setting(1.0, "give the signal up after so long below loss_dbhz [s]", low=0.1)
+    relock_s: float = setting(
+        1.5, "pull in again after so long without phase lock; 0: never [s]", low=0, high=1e6
+    )
+    weak_dbhz: float = setting(
+        34.0, "C/N0 below which the NCO runs free in pull-in [dB-Hz]", low=0, high=60
+    )
+    weak_pull_in_ms: int = setting(
+        1000, "stretch of such a pull-in, for Doppler and bit edges [ms]", low=200, high=5000
+    )
     lock_threshold: float = setting(
         0.7, "cos(2 phase error) that declares phase lock [-]", low=0, high=1
     )
     unlock_threshold: float = setting(0.35, "... and that ends it [-]", low=0, high=1)
+    aiding_form: str = setting(
+        "velocity",
+        "what is added to the loop: predicted Doppler, or its growth by the rates [-]",
+        choices=("velocity", "acceleration"),
+    )
+    aid_policy: str = setting(
+        "continue",
+        "velocity form: the loop goes on, or is cleared at each aid epoch [-]",
+        choices=("continue", "reset"),
+    )
+    aid_epoch_ms: int = setting(1000, "aid epoch of the policy reset [ms]", low=1, high=100_000)
+    aid_sd_limit_hz: float = setting(
+        5.0, "aiding whose one sigma is larger is not used [Hz]", low=0
+    )
     max_extrapolation_s: float = setting(
         0.05, "aiding is extrapolated so far, then dropped [s]", low=0
     )
     feedback_delay_ms: int = setting(
         100, "delay D after which an ephemeris takes effect [ms]", low=0
     )
-
-
-class BasebandWindow:
-    """The last samples of the complex baseband, contiguous: one block and what came before it."""
-
-    def __init__(self, history: int) -> None:
-        self.history = history
-        self.i: NDArray[np.int8] = np.zeros(0, np.int8)
-        self.q: NDArray[np.int8] = np.zeros(0, np.int8)
-        self.start = self.end = 0
-        self.noise = 1.0
-
-    def push(self, i: NDArray[np.int8], q: NDArray[np.int8], sample_index: int) -> bool:
-        """Append a block; returns False if it does not join on to the last one."""
-        joins = sample_index == self.end or self.end == self.start
-        kept = min(self.history, self.end - self.start) if joins else 0
-        size = kept + len(i)
-        if self.i.dtype != i.dtype or len(self.i) < size:
-            grown = (
-                np.zeros(self.history + len(i), i.dtype),
-                np.zeros(self.history + len(i), i.dtype),
-            )
-            old = self.end - self.start
-            grown[0][:kept], grown[1][:kept] = self.i[old - kept : old], self.q[old - kept : old]
-            self.i, self.q = grown
-        else:
-            old = self.end - self.start
-            self.i[:kept], self.q[:kept] = self.i[old - kept : old], self.q[old - kept : old]
-        self.i[kept:size], self.q[kept:size] = i, q
-        self.start, self.end = sample_index - kept, sample_index + len(i)
-        step = max(1, len(i) // 4096)
-        sub_i, sub_q = i[::step].astype(np.float64), q[::step].astype(np.float64)
-        self.noise = max(1e-3, math.sqrt((sub_i @ sub_i + sub_q @ sub_q) / (2 * len(sub_i))))
-        return joins
-
-
-@dataclass
-class AidingSpan:
-    """Aiding of one satellite, joined over the last blocks."""
-
-    knots: FloatArray
-    rates: FloatArray
-    first: int = 0
-    step: int = 1
-    through: int = -1
-    valid: bool = False
-
-    @classmethod
-    def none(cls) -> AidingSpan:
-        """No aiding at all."""
-        return cls(np.zeros(0), np.zeros(0))
-
-    def extended(self, aiding: Aiding, satellite: str, keep: int) -> AidingSpan:
-        """Append the satellite's knots of ``aiding``, keeping at most ``keep`` older ones."""
-        if not aiding.valid or satellite not in aiding.satellites:
-            return AidingSpan(self.knots, self.rates, self.first, self.step, self.through, False)
-        row = aiding.satellites.index(satellite)
-        knots, rates = aiding.carrier_doppler_hz[row], aiding.carrier_doppler_rate[row]
-        if not (np.isfinite(knots).all() and np.isfinite(rates).all()):
-            return AidingSpan(self.knots, self.rates, self.first, self.step, self.through, False)
-        first, step = aiding.knot_sample_index, aiding.knot_step_samples
-        count = len(self.knots)
-        overlap = self.first + count * step - first if count else -1
-        if step == self.step and count and overlap % step == 0 and 0 <= overlap <= count * step:
-            old = count - overlap // step
-            low = max(0, old - keep)
-            knots = np.concatenate([self.knots[low:old], knots])
-            rates = np.concatenate([self.rates[low:old], rates])
-            first = self.first + low * step
-        return AidingSpan(knots, rates, first, step, aiding.valid_through, True)
 
 
 class Channel:
@@ -168,16 +124,16 @@ class Channel:
     ) -> None:
         self.satellite, self.config = satellite, config or TrackingConfig()
         self.sample_rate_hz = sample_rate_hz
-        check(self.config)
-        if 20 % self.config.integration_ms:
-            raise ValueError(f"integration_ms = {self.config.integration_ms} does not divide 20")
+        _check(self.config)
         self.bank = ReplicaBank(satellite, sample_rate_hz)
         self.states = np.zeros(1, STATE)
         self.state = self.states[0]
         self.configs = self._numbers()
         self.out = np.zeros(64, EPOCH)
         self.aligned = np.zeros((64, 3), np.int64)
-        self.aiding = AidingSpan.none()
+        self.history = np.zeros((self.config.weak_pull_in_ms, 2))
+        self.aiding = AidingSpan(sample_rate_hz)
+        self.aid_dropped = dict.fromkeys(("invalid", "uncertain", "late", "diverged"), 0)
         self.ephemeris_count = 0
         self.reference_week = reference_week
         self.decoder = LnavDecoder(satellite, reference_week)
@@ -216,6 +172,10 @@ class Channel:
         n["lock_threshold"], n["unlock_threshold"] = config.lock_threshold, config.unlock_threshold
         n["code_lock_dbhz"], n["loss_dbhz"] = config.code_lock_dbhz, config.loss_dbhz
         n["loss_s"], n["periods"] = config.loss_s, config.integration_ms
+        n["relock_s"], n["weak_dbhz"] = config.relock_s, config.weak_dbhz
+        n["acceleration_form"] = config.aiding_form == "acceleration"
+        if config.aid_policy == "reset":
+            n["reset_samples"] = max(1, round(config.aid_epoch_ms * 1e-3 * self.sample_rate_hz))
         return numbers
 
     @property
@@ -226,9 +186,13 @@ class Channel:
     def hand_over(self, result: AcquisitionResult, sample_index: int) -> None:
         """Start pulling in at the first code period after ``sample_index``."""
         state = self.state
-        carrier_phase = float(state["carrier_phase"])
-        flags = int(state["pending_flags"])
+        kept = {name: self.states[name][0] for name in _KEPT}
         self.states[:] = np.zeros(1, STATE)
+        for name, value in kept.items():
+            state[name] = value
+        doppler = result.carrier_doppler_hz
+        if self.aiding.valid and state["aid_held"] == 0:
+            doppler += self.aiding.growth(result.sample_index, sample_index)
         rate = CA_RATE_CPS * (1 + result.carrier_doppler_hz / L1_HZ) / self.sample_rate_hz
         gap = sample_index - result.sample_index
         phase = (result.code_phase_chips + gap * rate) % CA_LENGTH
@@ -236,14 +200,15 @@ class Channel:
         state["mode"] = TrackingMode.PULL_IN
         state["next_sample"] = sample_index + wait
         state["code_phase"] = phase + wait * rate - CA_LENGTH
-        state["carrier_phase"] = math.floor(carrier_phase)
-        state["slope_hz"] = state["nco_hz"] = result.carrier_doppler_hz
+        state["carrier_phase"] = math.floor(state["carrier_phase"])
+        state["slope_hz"] = state["nco_hz"] = doppler
+        state["weak"] = result.cn0_dbhz < self.config.weak_dbhz
         state["bit_offset"] = state["transmit_ms"] = -1
         state["narrow_wide"] = -1.0
         state["cn0"] = result.cn0_dbhz
         state["code_lock"] = 1
         state["power"] = 10 ** (result.cn0_dbhz / 10)
-        state["pending_flags"] = flags | TrackingFlag.SLIP
+        state["pending_flags"] |= int(TrackingFlag.SLIP)
         self.decoder = LnavDecoder(self.satellite, self.reference_week)
         self.half_cycle, self._turned = 0.0, False
 
@@ -257,14 +222,16 @@ class Channel:
 
     def aid(self, aiding: Aiding) -> None:
         """Take the aiding of the next block."""
-        keep = 3 * max(1, aiding.knot_count)
-        self.aiding = self.aiding.extended(aiding, self.satellite, keep)
+        reason = self.aiding.take(aiding, self.satellite, self.config.aid_sd_limit_hz)
+        if reason:
+            self.aid_dropped[reason] += 1
 
     def aid_missing(self, through: int) -> None:
         """No aiding came in time for samples up to ``through``: extrapolate, or drop it."""
         age = (through - self.aiding.through) / self.sample_rate_hz
-        if age > self.config.max_extrapolation_s:
+        if self.aiding.valid and age > self.config.max_extrapolation_s:
             self.aiding.valid = False
+            self.aid_dropped["late"] += 1
 
     def advance(
         self, window: BasebandWindow, block_sample_index: int, valid_through: int
@@ -298,16 +265,16 @@ class Channel:
             window.end,
             self.bank.rows,
             self.bank.chips_per_sample,
-            aiding.valid,
+            aiding.record,
             aiding.knots,
             aiding.rates,
-            aiding.first,
-            aiding.step,
-            aiding.through,
+            self.history,
             self.out,
             self.aligned,
         )
         rows = self.out[:count].copy()
+        diverged = rows["flags"] & int(TrackingFlag.AID_DIVERGED)
+        self.aid_dropped["diverged"] += int(np.count_nonzero(diverged))
         self._bit_offset = max(self._bit_offset, int(self.state["bit_offset"]))
         ephemerides = self._navigation(rows)
         if self.mode == IDLE:
@@ -365,3 +332,12 @@ class Channel:
         self.ephemeris_count += 1
         delay = int(self.config.feedback_delay_ms * 1e-3 * self.sample_rate_hz)
         return [replace(event.ephemeris, effective_sample_index=end_sample + delay)]
+
+
+def _check(config: TrackingConfig) -> None:
+    """Raise ValueError where settings are out of range or exclude each other."""
+    check(config)
+    if 20 % config.integration_ms:
+        raise ValueError(f"integration_ms = {config.integration_ms} does not divide 20")
+    if config.aid_policy == "reset" and config.aiding_form != "velocity":
+        raise ValueError("aid_policy = reset needs aiding_form = velocity")

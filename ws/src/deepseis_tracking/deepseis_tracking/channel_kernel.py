@@ -12,16 +12,22 @@ import numpy as np
 from numba import njit
 
 from deepseis_core.constants import CA_LENGTH, CA_RATE_CPS, L1_HZ
-from deepseis_tracking.bit_sync import search_bit_edge
+from deepseis_tracking.bit_sync import bits_in, clear_edge, resolve_bits, search_bit_edge
 from deepseis_tracking.correlator import CARRIER_GROUP, correlate_period
 from deepseis_tracking.discriminators import costas_atan, dll_envelope, frequency_error
 from deepseis_tracking.lock_detector import PERIOD_S, update_cn0, update_locks
-from deepseis_tracking.nco import aid_at, plan_nco, switch_aiding
+from deepseis_tracking.nco import choose_aiding, plan_nco, plan_without_aiding
 from deepseis_tracking.replica import MARGIN
 
 IDLE, PULL_IN, BIT_SYNC, TRACK, TRACK_AIDED = 0, 1, 2, 3, 4
 CODE_LOCK, PHASE_LOCK, BIT_SYNCED, POLARITY_KNOWN, SLIP = 1, 2, 4, 8, 16
 AID_MISSED, AID_DIVERGED = 64, 128
+AIDED_RELOCK_S = 0.5
+"""Aiding has misled a loop that lacks phase lock so long on a signal that is there [s]."""
+LONGEST_WAIT_S = 64.0
+"""Before aiding that has misled again and again is tried once more [s]."""
+TRUSTED_S = 10.0
+"""Aiding that has served so long has not failed "again" [s]."""
 CARRIER_TO_CODE = CA_RATE_CPS / L1_HZ
 
 
@@ -44,6 +50,7 @@ def _start_mode(state: Any, mode: int) -> None:
     if mode == BIT_SYNC:
         state.bit_energy[:] = 0.0
     if mode == TRACK:
+        state.narrow = 0
         state.lock_num = 0.0
         state.lock_den = 0.0
         state.phase_lock = 0
@@ -62,6 +69,10 @@ def _restart(state: Any, residual_hz: float) -> None:
     state.phase_lock = 0
     state.unlocked_s = 0.0
     state.polarity = 0
+    state.weak = 1 if state.weak > 0 else 0
+    state.bit_sums = 0
+    state.bit_energy[:] = 0.0
+    state.clock_hz = 0.0
     state.pending_flags |= SLIP
     if state.transmit_ms < 0:
         state.bit_offset = -1  # no subframe has confirmed it
@@ -75,6 +86,12 @@ def _restart_tracking(state: Any, residual_hz: float) -> None:
     state.aid_held = 1 if failed_aided else 0
     if failed_aided:
         state.pending_flags |= AID_DIVERGED
+        if state.aided_s > TRUSTED_S:
+            state.aid_failures = 0
+        wait = 2.0**state.aid_failures if state.aid_failures > 0 else 0.0
+        state.aid_wait_s = min(wait, LONGEST_WAIT_S)
+        state.aid_failures = min(state.aid_failures + 1, 10)
+        state.aided_s = 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -96,12 +113,18 @@ def _after_integration(
     row.carrier_error_cycles = error
     row.code_error_chips = code_error
     update_locks(state, config, i, q, period)
+    state.aid_wait_s = max(0.0, state.aid_wait_s - period)
     if tracking:
-        gains = config.aided_gains if state.mode == TRACK_AIDED else config.track_gains
+        _note_lock(state, config, period)
+        narrow = state.mode == TRACK_AIDED and state.narrow == 1
+        gains = config.aided_gains if narrow else config.track_gains
         filter_carrier(state, error, gains[0], gains[1], gains[2], period)
         state.code_slope = config.dll_gain * code_error
         if abs(error) > 0.2 and state.phase_lock == 1:
             state.pending_flags |= SLIP
+    elif state.weak > 0:
+        state.phase_lock = 0  # the phase turns: what looks like lock is none
+        state.code_slope = config.dll_fast_gain * code_error
     else:
         if state.mode == PULL_IN and state.mode_epochs > 0:
             drift = frequency_error(i, q, state.last_i, state.last_q, period)
@@ -130,12 +153,70 @@ def _after_integration(
 
 
 @njit(cache=True, nogil=True)
+def _note_lock(state: Any, config: Any, period: float) -> None:
+    """Note in phase lock how the next pull-in is to be, and that an aided loop may be narrow."""
+    if state.phase_lock == 0:
+        return
+    state.weak = 1 if state.cn0 < config.weak_dbhz else 0
+    if state.mode == TRACK_AIDED:
+        state.aided_s += period
+        if state.narrow == 0:
+            state.narrow = 1
+            state.accel = 0.0
+
+
+@njit(cache=True, nogil=True)
+def _pull_in_weak(state: Any, config: Any, stretch: np.ndarray, at_edge: bool) -> None:
+    """Pull in where 1 ms holds too little signal for a loop: the NCO runs free (`resolve_bits`).
+
+    ``stretch`` holds the prompts since the last look.
+    """
+    if state.weak == 2:
+        if at_edge:
+            state.unlocked_s = 0.0
+            _start_mode(state, TRACK)
+        return
+    count = stretch.shape[0]
+    if state.mode_epochs % count != 0:
+        return
+    first_period = state.period_count - count
+    state.slope_hz += resolve_bits(stretch, first_period, state.bit_offset, state.bit_energy)
+    state.nco_hz = state.slope_hz
+    state.bit_sums += bits_in(count)
+    if state.bit_offset < 0:
+        state.bit_offset = clear_edge(state.bit_energy, state.bit_sums)
+    if state.bit_offset >= 0:
+        state.weak = 2
+    elif state.mode_epochs >= config.pull_in_epochs + config.bit_sync_epochs:
+        _restart(state, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _misled(state: Any, config: Any) -> bool:
+    """Whether the loop has been without phase lock too long."""
+    if config.relock_s <= 0.0:
+        return False
+    begun = state.mode_epochs * config.periods * PERIOD_S > 1.0
+    aided_on_signal = state.mode == TRACK_AIDED and state.code_lock == 1 and begun
+    limit = min(config.relock_s, AIDED_RELOCK_S) if aided_on_signal else config.relock_s
+    return state.unlocked_s > limit
+
+
+@njit(cache=True, nogil=True)
 def _change_mode(
-    state: Any, config: Any, i: float, q: float, period_of_row: int, aid_hz: float
+    state: Any,
+    config: Any,
+    i: float,
+    q: float,
+    period_of_row: int,
+    aid_hz: float,
+    stretch: np.ndarray,
 ) -> None:
     """Decide what the channel does next; ``aid_hz`` is the aiding in use, 0 without."""
     at_edge = state.bit_offset >= 0 and state.period_count % 20 == state.bit_offset
-    if state.mode == PULL_IN and state.mode_epochs >= config.pull_in_epochs:
+    if state.mode == PULL_IN and state.weak > 0:
+        _pull_in_weak(state, config, stretch, at_edge)
+    elif state.mode == PULL_IN and state.mode_epochs >= config.pull_in_epochs:
         state.nco_hz = state.slope_hz
         _start_mode(state, BIT_SYNC)
     elif state.mode == BIT_SYNC:
@@ -155,11 +236,14 @@ def _change_mode(
                 _restart(state, 0.0)
     elif state.mode >= TRACK:
         residual = math.atan2(state.cross_q, state.cross_i) / (2.0 * math.pi * PERIOD_S)
-        if state.mode_epochs > 25 and abs(residual) > 12.0 and state.phase_lock == 0:
+        far = abs(residual) > 12.0 and state.phase_lock == 0 and config.relock_s > 0.0
+        if state.mode_epochs > 25 and far:
             _restart_tracking(state, residual + aid_hz)
-        elif state.unlocked_s > 1.5:
+        elif _misled(state, config):
             _restart_tracking(state, aid_hz)
     if state.weak_s > config.loss_s:
+        # Not even pulled in with aiding: try without it next time.
+        state.aid_held = 1 if state.mode < TRACK and state.pull_in_aided == 1 else 0
         state.mode = IDLE
         state.pending_flags |= SLIP
         state.bit_offset = -1
@@ -177,12 +261,10 @@ def advance(
     buffer_end: int,
     rows: np.ndarray,
     chips_per_sample: float,
-    aid_valid: bool,
+    aids: np.ndarray,
     knots: np.ndarray,
     rates: np.ndarray,
-    knot_first: int,
-    knot_step: int,
-    aid_through: int,
+    history: np.ndarray,
     out: np.ndarray,
     aligned: np.ndarray,
 ) -> int:
@@ -196,9 +278,10 @@ def advance(
         Samples ``buffer_start`` (inclusive) to ``buffer_end`` (exclusive).
     rows, chips_per_sample
         The satellite's `replica.ReplicaBank`.
-    aid_valid, knots, rates, knot_first, knot_step, aid_through
-        Aiding Doppler [Hz] and rate [Hz/s] at uniform knots; ``aid_through`` is the last sample
-        they were made for.
+    aids, knots, rates
+        Aiding: a record of AID, shape (1,), Doppler [Hz] and rate [Hz/s] at its uniform knots.
+    history : ndarray, shape (n, 2)
+        The last prompts of an open-loop pull-in, which looks at them every n ms.
     out : ndarray of EPOCH, shape (n,)
         Room for the integrations.
     aligned : ndarray of int64, shape (n, 3)
@@ -209,7 +292,7 @@ def advance(
     int
         Integrations done.
     """
-    state, config = states[0], configs[0]
+    state, config, aid = states[0], configs[0], aids[0]
     phase_steps = rows.shape[0]
     sums = np.zeros(6)
     prompts = np.zeros((config.periods, 2))
@@ -225,40 +308,14 @@ def advance(
         done += 1
         duration = periods * PERIOD_S
         row.flags = 0
-        settled = state.phase_lock == 1 and state.mode_epochs > 10
-        if state.mode == TRACK and aid_valid and (settled or state.aid_held == 0):
-            here = aid_at(
-                float(state.next_sample), knots, rates, knot_first, knot_step, config.sample_rate
-            )
-            switch_aiding(state, True, here, 0.0)
-        elif state.mode == TRACK_AIDED and not aid_valid:
-            row.flags |= AID_MISSED
-            if knots.shape[0] > 1:
-                start, rate = float(state.next_sample), config.sample_rate
-                here = aid_at(start, knots, rates, knot_first, knot_step, rate)
-                next_ms = start + PERIOD_S * rate
-                then = aid_at(next_ms, knots, rates, knot_first, knot_step, rate)
-                slope = (then - here) / PERIOD_S if config.track_gains[2] > 0.0 else 0.0
-                switch_aiding(state, False, here, slope)
-            else:
-                _restart(state, 0.0)
-                done -= 1
-                continue
-        use_aid = state.mode == TRACK_AIDED
-        plan_nco(
-            state,
-            config,
-            row,
-            use_aid,
-            knots,
-            rates,
-            knot_first,
-            knot_step,
-            aid_through,
-            duration,
-        )
-        if row.aid_age_s > 0.0:
-            row.flags |= AID_MISSED
+        use_aid = choose_aiding(state, config, row, aid, knots, rates)
+        grown = 0.0
+        if use_aid:
+            grown = plan_nco(state, config, row, aid, knots, rates, duration)
+            if row.aid_age_s > 0.0:
+                row.flags |= AID_MISSED
+        else:
+            plan_without_aiding(state, row)
         f0, f1, f2 = row.carrier_doppler_hz, row.carrier_doppler_rate, row.carrier_doppler_accel
         phase0 = state.carrier_phase
         row.sample_index = state.next_sample
@@ -307,7 +364,9 @@ def advance(
             samples += count
             tau = tau_end
         seconds = samples / config.sample_rate
-        aid_end = f0 + seconds * (f1 + seconds * f2) - state.nco_hz if use_aid else 0.0
+        aid_end = f0 + seconds * (f1 + seconds * f2) - state.nco_hz - grown if use_aid else 0.0
+        state.slope_hz += grown
+        state.nco_hz += grown
         row.sample_count = samples
         row.code_rate_cps = (code_phase + periods * CA_LENGTH - state.code_phase) / seconds
         state.code_phase = code_phase
@@ -318,6 +377,11 @@ def advance(
             state.transmit_ms = (state.transmit_ms + periods) % 604_800_000
         if state.mode >= TRACK:
             update_cn0(state, prompts[:periods])
+        epoch = state.mode_epochs
         _after_integration(state, config, row, sums, shift / periods, periods)
-        _change_mode(state, config, row.prompt_i, row.prompt_q, first_period, aid_end)
+        if state.mode == PULL_IN and state.weak == 1:
+            history[epoch % history.shape[0], 0] = row.prompt_i
+            history[epoch % history.shape[0], 1] = row.prompt_q
+        aid_end = aid_end if state.mode == TRACK_AIDED else 0.0
+        _change_mode(state, config, row.prompt_i, row.prompt_q, first_period, aid_end, history)
     return done

@@ -36,6 +36,15 @@ STATE = np.dtype(
         ("unlocked_s", "f8"),  # time without phase lock in a tracking mode
         ("weak_s", "f8"),  # time below the loss threshold
         ("aid_held", "i8"),  # 1: the last try with aiding failed, lock without it first
+        ("aid_failures", "i8"),  # in a row
+        ("aid_wait_s", "f8"),  # before the next try
+        ("aided_s", "f8"),  # time in phase lock with aiding
+        ("narrow", "i8"),  # 1: has locked with aiding, the aided loop's gains hold
+        ("pull_in_aided", "i8"),  # 1: this pull-in uses aiding
+        ("clock_hz", "f8"),  # oscillator's part of the frequency beside aiding and loop
+        ("reset_epoch", "i8"),  # number of the aid epoch, policy "reset"
+        ("weak", "i8"),  # 1: pull in open-loop; 2: that has found Doppler and bits
+        ("bit_sums", "i8"),  # sums in bit_energy, open-loop pull-in
         ("noise", "f8"),  # per component and sample, standard deviation
         ("bit_energy", "f8", (20,)),
         ("recent_i", "f8", (20,)),
@@ -63,9 +72,24 @@ CONFIG = np.dtype(
         ("loss_dbhz", "f8"),
         ("loss_s", "f8"),
         ("periods", "i8"),  # code periods in a tracking integration
+        ("relock_s", "f8"),  # 0: never
+        ("weak_dbhz", "f8"),
+        ("acceleration_form", "i8"),  # of aiding; 0: velocity form
+        ("reset_samples", "i8"),  # length of an aid epoch, policy "reset"; 0: policy "continue"
     ]
 )
 """Settings of one channel in numbers (one record)."""
+
+AID = np.dtype(
+    [
+        ("valid", "i8"),
+        ("first", "i8"),  # sample of knot 0
+        ("step", "i8"),  # samples between knots
+        ("through", "i8"),  # last sample that the aiding was made for
+        ("clock_hz", "f8"),  # oscillator's part, NaN: unknown
+    ]
+)
+"""Aiding of one channel beside its knots (one record)."""
 
 _SKIPPED = ("satellite", "block_sample_index", "valid_through", "ephemeris_count", "mode")
 _INTEGERS = {

@@ -24,7 +24,8 @@ from deepseis_core.types import (
     TrackingFlag,
     TrackingMode,
 )
-from deepseis_tracking.channel import BasebandWindow, Channel, TrackingConfig
+from deepseis_tracking.baseband_window import BasebandWindow
+from deepseis_tracking.channel import Channel, TrackingConfig
 
 ALL_SATELLITES = [f"G{prn:02d}" for prn in range(1, 33)]
 
@@ -128,10 +129,7 @@ class TrackingEngine:
 
     def push_aiding(self, aiding: Aiding) -> None:
         """Take the aiding of a span; spans come in order. Messages carry the tables flat."""
-        shape = (len(aiding.satellites), aiding.knot_count)
-        doppler = np.reshape(aiding.carrier_doppler_hz, shape)
-        rate = np.reshape(aiding.carrier_doppler_rate, shape)
-        aiding = replace(aiding, carrier_doppler_hz=doppler, carrier_doppler_rate=rate)
+        aiding = _shaped(aiding)
         self.aiding.append(aiding)
         self.aiding_through = max(self.aiding_through, aiding.valid_through)
 
@@ -248,11 +246,31 @@ class TrackingEngine:
         channels = self.channels.values()
         values: dict[str, object] = dict(self.counters)
         values["lost"] = sum(c.lost for c in channels)
+        dropped = {
+            reason: sum(c.aid_dropped[reason] for c in channels)
+            for reason in ("invalid", "uncertain", "late", "diverged")
+        }
+        values |= {f"aid_{reason}": count for reason, count in dropped.items()}
         values["polarity_turns"] = sum(c.polarity_turns for c in channels)
         values["subframes"] = sum(c.subframes for c in channels)
         values["subframes_failed"] = sum(c.decoder.failed_count for c in channels)
         for name, channel in self.channels.items():
             if channel.mode != TrackingMode.IDLE:
                 values[f"{name}_cn0_dbhz"] = f"{float(channel.state['cn0']):.1f}"
-        lost = bool(self.counters["gaps"] or self.counters["aid_missed"])
+        lost = bool(self.counters["gaps"] or self.counters["aid_missed"] or dropped["diverged"])
         return lost, f"tracking {len(tracked)}: {' '.join(tracked)}", values
+
+
+def _shaped(aiding: Aiding) -> Aiding:
+    """Give the tables their shape, a row a satellite; one whose sizes do not fit is invalid."""
+    shape = (len(aiding.satellites), aiding.knot_count)
+    doppler, rate = np.asarray(aiding.carrier_doppler_hz), np.asarray(aiding.carrier_doppler_rate)
+    sd = np.asarray(aiding.doppler_sd_hz)
+    fits = doppler.size == rate.size == shape[0] * shape[1] and sd.size == shape[0]
+    if not fits:
+        return replace(aiding, valid=False)
+    return replace(
+        aiding,
+        carrier_doppler_hz=doppler.reshape(shape),
+        carrier_doppler_rate=rate.reshape(shape),
+    )

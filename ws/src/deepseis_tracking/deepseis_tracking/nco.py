@@ -1,4 +1,14 @@
-"""The carrier NCO of one integration: aiding as a parabola, the loop on top (compiled)."""
+"""The carrier NCO of one integration: aiding as a parabola, the loop on top (compiled).
+
+Two forms of aiding (Doppler-aided 2.1, 2.2):
+
+- *velocity*: the NCO runs at aiding Doppler + clock + loop output; the loop filter holds what the
+  aiding does not explain.
+- *acceleration*: the loop filter holds the whole frequency; what the Doppler grows over an
+  integration, by the *rates* at the knots, is added to it. Steps of the Doppler do not enter.
+
+Pull-in is aided in the second form always: it needs nothing but a frequency to start from.
+"""
 
 from __future__ import annotations
 
@@ -7,23 +17,23 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-TRACK, TRACK_AIDED = 3, 4
+PULL_IN, TRACK, TRACK_AIDED = 1, 3, 4
+AID_MISSED = 64
+PERIOD_S = 1e-3
 
 
 @njit(cache=True, nogil=True)
-def aid_at(
-    sample: float, knots: np.ndarray, rates: np.ndarray, first: int, step: int, rate_hz: float
-) -> float:
+def aid_at(sample: float, aid: Any, knots: np.ndarray, rates: np.ndarray, rate_hz: float) -> float:
     """Aiding Doppler at a sample [Hz]: cubic Hermite between knots, a line beyond the last."""
-    position = (sample - first) / step
+    position = (sample - aid.first) / aid.step
     last = knots.shape[0] - 1
     if position >= last:
-        return knots[last] + rates[last] * (sample - first - last * step) / rate_hz
+        return knots[last] + rates[last] * (sample - aid.first - last * aid.step) / rate_hz
     if position <= 0.0:
-        return knots[0] + rates[0] * (sample - first) / rate_hz
+        return knots[0] + rates[0] * (sample - aid.first) / rate_hz
     index = int(position)
     x = position - index
-    span = step / rate_hz
+    span = aid.step / rate_hz
     x2, x3 = x * x, x * x * x
     return (
         (2 * x3 - 3 * x2 + 1) * knots[index]
@@ -34,22 +44,96 @@ def aid_at(
 
 
 @njit(cache=True, nogil=True)
-def switch_aiding(state: Any, on: bool, aid_hz: float, aid_rate: float) -> None:
-    """Begin or end aiding without a bump: the total frequency stays, and its rate at the end.
+def aid_growth(begin: float, end: float, aid: Any, rates: np.ndarray, rate_hz: float) -> float:
+    """Growth of the Doppler from one sample to another [Hz]: the rates' integral.
 
-    With aiding on, the frequency integrator holds what the aiding does not explain: the clock.
-    ``aid_rate`` [Hz/s] is what an order-3 loop takes over when aiding ends.
+    Rates are straight lines between knots and constant beyond the first and the last.
     """
-    if on and state.mode == TRACK:
-        state.mode = TRACK_AIDED
-        state.slope_hz -= aid_hz
-        state.nco_hz -= aid_hz
-        state.accel = 0.0
-    elif not on and state.mode == TRACK_AIDED:
-        state.mode = TRACK
-        state.slope_hz += aid_hz
-        state.nco_hz += aid_hz
-        state.accel = aid_rate
+    last = rates.shape[0] - 1
+    total, position = 0.0, (begin - aid.first) / aid.step
+    stop = (end - aid.first) / aid.step
+    if position < 0.0:
+        total += rates[0] * (min(0.0, stop) - position)
+        position = 0.0
+    while position < stop and position < last:
+        index = int(position)
+        until = min(stop, index + 1.0)
+        slope = rates[index + 1] - rates[index]
+        total += (rates[index] + slope * (0.5 * (position + until) - index)) * (until - position)
+        position = until
+    if position < stop:
+        total += rates[last] * (stop - position)
+    return total * aid.step / rate_hz
+
+
+@njit(cache=True, nogil=True)
+def switch_on(state: Any, config: Any, aid: Any, aid_hz: float) -> None:
+    """Begin aiding without a bump: the total frequency stays.
+
+    Velocity form: the oscillator's part is frozen at what the aiding says now (thesis 4.1). If it
+    does not say, the frequency integrator goes on holding it; with the policy ``reset``, which
+    clears that, it is what the integrator holds now.
+    """
+    state.mode = TRACK_AIDED
+    state.accel = 0.0
+    if config.acceleration_form == 1:
+        return
+    state.clock_hz = 0.0
+    if np.isfinite(aid.clock_hz):
+        state.clock_hz = aid.clock_hz
+    elif config.reset_samples > 0:
+        state.clock_hz = state.slope_hz - aid_hz
+    if config.reset_samples > 0:
+        state.reset_epoch = state.next_sample // config.reset_samples
+    state.slope_hz -= aid_hz + state.clock_hz
+    state.nco_hz -= aid_hz + state.clock_hz
+
+
+@njit(cache=True, nogil=True)
+def switch_off(state: Any, config: Any, aid_hz: float, aid_rate: float) -> None:
+    """End aiding without a bump; an order-3 loop takes over ``aid_rate`` [Hz/s]."""
+    state.mode = TRACK
+    if config.acceleration_form == 0:
+        state.slope_hz += aid_hz + state.clock_hz
+        state.nco_hz += aid_hz + state.clock_hz
+    state.clock_hz = 0.0
+    state.accel = aid_rate if config.track_gains[2] > 0.0 else 0.0
+
+
+@njit(cache=True, nogil=True)
+def _reset(state: Any, config: Any, aid: Any) -> None:
+    """Policy ``reset`` (Doppler-aided 2.3): each aid epoch sets the base and clears the loop."""
+    epoch = state.next_sample // config.reset_samples
+    if epoch != state.reset_epoch:
+        state.reset_epoch = epoch
+        if np.isfinite(aid.clock_hz):
+            state.clock_hz = aid.clock_hz
+        state.slope_hz = state.nco_hz = 0.0
+
+
+@njit(cache=True, nogil=True)
+def choose_aiding(
+    state: Any, config: Any, row: Any, aid: Any, knots: np.ndarray, rates: np.ndarray
+) -> bool:
+    """Switch aiding on or off before an integration; tells whether it is used."""
+    start = float(state.next_sample)
+    covered = aid.valid == 1 and knots.shape[0] > 0 and start >= aid.first
+    if state.mode < TRACK:
+        state.pull_in_aided = 1 if covered and state.aid_held == 0 else 0
+        return state.pull_in_aided == 1
+    if state.mode == TRACK and covered:
+        settled = state.phase_lock == 1 and state.mode_epochs > 10 and state.aid_wait_s <= 0.0
+        if settled or state.aid_held == 0:
+            switch_on(state, config, aid, aid_at(start, aid, knots, rates, config.sample_rate))
+    elif state.mode == TRACK_AIDED and aid.valid == 0:
+        row.flags |= AID_MISSED
+        here = aid_at(start, aid, knots, rates, config.sample_rate)
+        next_ms = start + PERIOD_S * config.sample_rate
+        then = aid_at(next_ms, aid, knots, rates, config.sample_rate)
+        switch_off(state, config, here, (then - here) / PERIOD_S)
+    if state.mode == TRACK_AIDED and config.reset_samples > 0:
+        _reset(state, config, aid)
+    return state.mode == TRACK_AIDED
 
 
 @njit(cache=True, nogil=True)
@@ -57,30 +141,43 @@ def plan_nco(
     state: Any,
     config: Any,
     row: Any,
-    use_aid: bool,
+    aid: Any,
     knots: np.ndarray,
     rates: np.ndarray,
-    knot_first: int,
-    knot_step: int,
-    aid_through: int,
     duration: float,
-) -> None:
-    """NCO polynomial of the coming integration: aiding as a parabola, plus the loop's output."""
-    rate_hz = config.sample_rate
-    row.aid_doppler_hz = np.nan
-    row.aid_age_s = 0.0
-    start = float(state.next_sample)
-    row.carrier_doppler_rate = 0.0
-    row.carrier_doppler_accel = 0.0
-    if not use_aid:
-        row.carrier_doppler_hz = state.nco_hz
-        return
+) -> float:
+    """NCO polynomial of the coming aided integration.
+
+    Returns
+    -------
+    float
+        What to add to the loop's frequency at its end [Hz]: 0 in the velocity form.
+    """
+    rate_hz, start = config.sample_rate, float(state.next_sample)
     length = duration * rate_hz
-    first = aid_at(start, knots, rates, knot_first, knot_step, rate_hz)
-    middle = aid_at(start + 0.5 * length, knots, rates, knot_first, knot_step, rate_hz)
-    last = aid_at(start + length, knots, rates, knot_first, knot_step, rate_hz)
+    first = aid_at(start, aid, knots, rates, rate_hz)
     row.aid_doppler_hz = first
-    row.aid_age_s = max(0.0, (start + length - 2.0 - aid_through) / rate_hz)
-    row.carrier_doppler_hz = state.nco_hz + first
+    row.aid_age_s = max(0.0, (start + length - 2.0 - aid.through) / rate_hz)
+    by_growth = state.mode != TRACK_AIDED or config.acceleration_form == 1
+    if by_growth:
+        first, base = 0.0, state.nco_hz
+        middle = aid_growth(start, start + 0.5 * length, aid, rates, rate_hz)
+        last = middle + aid_growth(start + 0.5 * length, start + length, aid, rates, rate_hz)
+    else:
+        base = state.nco_hz + state.clock_hz
+        middle = aid_at(start + 0.5 * length, aid, knots, rates, rate_hz)
+        last = aid_at(start + length, aid, knots, rates, rate_hz)
+    row.carrier_doppler_hz = base + first
     row.carrier_doppler_rate = (-3.0 * first + 4.0 * middle - last) / duration
     row.carrier_doppler_accel = 2.0 * (first - 2.0 * middle + last) / (duration * duration)
+    return last if by_growth else 0.0
+
+
+@njit(cache=True, nogil=True)
+def plan_without_aiding(state: Any, row: Any) -> None:
+    """NCO of an integration without aiding: the loop's output."""
+    row.aid_doppler_hz = np.nan
+    row.aid_age_s = 0.0
+    row.carrier_doppler_hz = state.nco_hz
+    row.carrier_doppler_rate = 0.0
+    row.carrier_doppler_accel = 0.0

@@ -22,6 +22,8 @@ DOPPLER_AIDING = Codec(types.Aiding, msg.DopplerAiding)
 STATION = Codec(types.Station, msg.Station)
 LDV_VELOCITY = Codec(types.LdvVelocity, msg.LdvVelocity)
 TRUTH = Codec(types.Truth, msg.Truth)
+MOTION_STATE = Codec(types.MotionState, msg.MotionState)
+INS_SOLUTION = Codec(types.InsSolution, msg.InsSolution)
 
 
 def acquisition_request(satellite: str, sample_index: int, utc_ns: int) -> msg.AcquisitionRequest:

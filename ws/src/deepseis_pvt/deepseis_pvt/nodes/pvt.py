@@ -79,6 +79,7 @@ class PvtNode(Node):
             self.products = RinexProducts(config.output_dir, station)
         self.load_navigation()
         self.clock: SampleClock | None = None
+        self.ephemerides = 0
         self.second, self.progressed, self.looked = -1, time.monotonic(), 0.0
         publish_on = self.flow.publish_on
         self.observations = publish_on("gnss/observations", Observations, qos.STREAM)
@@ -116,6 +117,7 @@ class PvtNode(Node):
     def on_ephemeris(self, ephemeris: Ephemeris, _utc_ns: int) -> None:
         """Take an ephemeris that was decoded."""
         self.engine.push_ephemeris(ephemeris)
+        self.ephemerides += 1
         if self.products is not None:
             self.products.add(ephemeris)
         self.work()
@@ -149,7 +151,12 @@ class PvtNode(Node):
         if worked == before or self.clock is None:
             return
         self.progressed = time.monotonic()
-        self.flow.send(self.engine.valid_through, worked, utc_ns=self.clock.utc_ns(worked))
+        self.flow.send(
+            self.engine.valid_through,
+            worked,
+            event_count=self.ephemerides,
+            utc_ns=self.clock.utc_ns(worked),
+        )
 
     def publish(self, observations: ObservationsValue, pvt: PvtValue | None) -> None:
         """Publish one epoch."""

@@ -1,4 +1,4 @@
-"""IMU samples as the standard message, straight to and from its bytes (see `cdr`)."""
+"""IMU samples as ``sensor_msgs/Imu``, straight to and from its bytes; without ROS."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import struct
 
 import numpy as np
 
-from deepseis_core.ros.cdr import CdrError
 from deepseis_core.sample_clock import SampleClock
-from deepseis_core.types import ImuSample
+from deepseis_core.types import FloatArray, ImuSample
 
 TYPE = "sensor_msgs/msg/Imu"
 FRAME = "imu_link"
@@ -43,28 +42,28 @@ def encode_imu(sample: ImuSample, utc_ns: int) -> bytes:
     return head + _PAD + body.tobytes()
 
 
-def _covariance(variance: float) -> np.ndarray:  # type: ignore[type-arg]
+def _covariance(variance: float) -> FloatArray:
     if variance == _ABSENT:
         return np.array([_ABSENT] + [0.0] * 8)
     return variance * _DIAGONAL
 
 
-def decode_imu(data: bytes, clock: SampleClock) -> tuple[ImuSample, int]:
+def decode_imu(data: bytes | memoryview, clock: SampleClock) -> tuple[ImuSample, int]:
     """Read a ``sensor_msgs/Imu`` of any frame, and its stamp [ns UTC].
 
     Raises
     ------
-    CdrError
+    ValueError
         The bytes are not such a message.
     """
     try:
         seconds, nanoseconds, size = struct.unpack_from("<iII", data, 4)
     except struct.error as error:
-        raise CdrError(f"not an Imu: {error}") from None
+        raise ValueError(f"not an Imu: {error}") from None
     begin = 16 + size
     begin += (4 - begin) % 8
     if len(data) < begin + 8 * _VALUES:
-        raise CdrError(f"not an Imu: {len(data)} bytes")
+        raise ValueError(f"not an Imu: {len(data)} bytes")
     body = np.frombuffer(data[begin : begin + 8 * _VALUES])
     utc_ns = seconds * 1_000_000_000 + nanoseconds
     sample = ImuSample(

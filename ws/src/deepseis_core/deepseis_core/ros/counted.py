@@ -1,0 +1,42 @@
+"""When a watermark holds for a reader: all messages that it counts have arrived.
+
+A watermark may overtake messages on other topics. Where these do not say themselves through which
+sample they are complete, the watermark counts them (`event_count`), and the reader waits until it
+has received as many.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from deepseis_msgs.msg import Watermark
+
+
+class CountedInput:
+    """Messages of one sender and its watermarks.
+
+    Attributes
+    ----------
+    valid_through : int
+        Last sample through which everything has arrived.
+    """
+
+    def __init__(self) -> None:
+        self.valid_through = -1
+        self._received = 0
+        self._announced: deque[tuple[int, int]] = deque()
+
+    def received(self) -> None:
+        """Count a message."""
+        self._received += 1
+        self._settle()
+
+    def announced(self, msg: Watermark) -> None:
+        """Take a watermark."""
+        self._announced.append((msg.event_count, msg.valid_through))
+        self._settle()
+
+    def _settle(self) -> None:
+        while self._announced and self._announced[0][0] <= self._received:
+            _, through = self._announced.popleft()
+            self.valid_through = max(self.valid_through, through)

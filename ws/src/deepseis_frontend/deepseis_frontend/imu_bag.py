@@ -1,0 +1,97 @@
+"""IMU samples out of a recorded bag (MCAP), without ROS, on the clock of the IF samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from deepseis_core.errors import InputError
+from deepseis_core.imu_message import TYPE, decode_imu
+from deepseis_core.interface import RECORD, require_interface
+from deepseis_core.mcap_scan import Channel, McapScan
+from deepseis_core.sample_clock import SampleClock
+from deepseis_core.types import ImuSample
+from deepseis_frontend.if_bag import bag_files
+
+TOPIC: Final = "imu/data_raw"
+LOOKED_AT: Final = 400
+"""Samples from which the rate is told."""
+
+
+class ImuBag:
+    """The IMU of a bag.
+
+    Parameters
+    ----------
+    path : path
+        MCAP file or bag folder.
+    clock : SampleClock
+        Of the bag's IF samples: stamps become sample indices.
+
+    Attributes
+    ----------
+    rate_hz : float
+        Samples a second, as the stamps tell.
+
+    Raises
+    ------
+    InputError
+        There is no IMU in the bag, or it cannot be read.
+    """
+
+    def __init__(self, path: str | Path, clock: SampleClock) -> None:
+        self.path, self.clock = Path(path), clock
+        self.files = bag_files(path)
+        ends = [sample.sample_index for sample in islice(self.samples(), LOOKED_AT)]
+        if len(ends) < 2:
+            raise InputError(self.path, f"holds no IMU samples: none on a topic {TOPIC}")
+        step = float(np.median(np.diff(ends))) / clock.sample_rate_hz
+        self.rate_hz = _plain(1.0 / step)
+
+    def samples(self) -> Iterator[ImuSample]:
+        """Yield the samples as recorded.
+
+        Raises
+        ------
+        InputError
+            Where they go back in time, or the bag is damaged.
+        """
+        last = -1
+        for file in self.files:
+            scan = McapScan(file)
+            for message in scan.messages(self._is_wanted):
+                if RECORD in scan.metadata:
+                    require_interface(file, scan.metadata)
+                try:
+                    sample, _ = decode_imu(message.data, self.clock)
+                except ValueError as error:
+                    reason = f"holds an unreadable message on {message.channel.topic}: {error}"
+                    raise InputError(file, reason) from None
+                if sample.sample_index <= last:
+                    reason = f"IMU sample at {sample.sample_index} comes after that at {last}"
+                    raise InputError(file, reason, "the bag holds two IMUs, or two runs")
+                last = sample.sample_index
+                yield sample
+
+    def _is_wanted(self, channel: Channel) -> bool:
+        wanted = ("/" + channel.topic).endswith("/" + TOPIC)
+        if wanted and (channel.type_name != TYPE or channel.encoding != "cdr"):
+            reason = f"{channel.topic} is {channel.type_name} in {channel.encoding}, no Imu"
+            raise InputError(self.path, reason)
+        return wanted
+
+
+def _plain(rate_hz: float) -> float:
+    """Round a rate that stamps tell to 1 ns to the plain number it is.
+
+    Examples
+    --------
+    >>> _plain(199.9999998)
+    200.0
+    """
+    whole = round(rate_hz, 3)
+    return whole if abs(whole - rate_hz) < 1e-5 * rate_hz else rate_hz

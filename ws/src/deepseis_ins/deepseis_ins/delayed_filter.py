@@ -1,0 +1,342 @@
+"""The filter behind the present: it works through what is measured, and can go back.
+
+It stands D behind the present, where everything measured is known, and does its work in steps at
+regular samples and at the epochs of GNSS, in order:
+
+- at rest: zero velocity, zero turn and zero displacement since the rest began. GNSS is not used
+  but compared with what is known: its slow errors are learnt (`gnss_offset`);
+- moving: GNSS without its slow errors.
+
+A snapshot is kept of every step. What turns out to have been wrong, because the motion began
+earlier than noticed or because something came late, is undone: back to the snapshot before it and
+all steps again, as if it had been known at once.
+"""
+
+from __future__ import annotations
+
+from bisect import insort
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deepseis_core.geodesy import ecef_from_geodetic, rotation_ned_ecef
+from deepseis_core.imu_grades import ImuGrade
+from deepseis_core.rotation import quat_rotate
+from deepseis_core.types import FloatArray, MotionKind, Pvt, PvtStatus
+from deepseis_ins import measurements
+from deepseis_ins.error_state import POS
+from deepseis_ins.fusion_config import FusionConfig
+from deepseis_ins.gnss_offset import SlowError, position_error, velocity_error
+from deepseis_ins.imu_history import ImuHistory, RowFlag
+from deepseis_ins.loose import Innovation, LooseFilter
+from deepseis_ins.loose import Snapshot as FilterSnapshot
+from deepseis_ins.motion_timeline import MotionTimeline
+from deepseis_ins.strapdown import NavState, propagate
+
+
+@dataclass(frozen=True)
+class Rest:
+    """What is held while the station stands still.
+
+    Attributes
+    ----------
+    antenna_ecef : ndarray, shape (3,)
+        Where the antenna is [m].
+    C_nb : ndarray, shape (3, 3)
+        How the IMU stands.
+    covariance_n : ndarray, shape (3, 3)
+        Of the place, north, east, down [m^2].
+    """
+
+    antenna_ecef: FloatArray
+    C_nb: FloatArray
+    covariance_n: FloatArray
+
+
+@dataclass(frozen=True)
+class Step:
+    """State after the step at a sample; ``kind`` 0 is a regular one, 1 an epoch of GNSS."""
+
+    sample_index: int
+    kind: int
+    row: int
+    filter: FilterSnapshot
+    rest: Rest | None
+    position: SlowError
+    velocity: SlowError
+
+
+@dataclass(frozen=True)
+class GnssUpdate:
+    """What became of one epoch of GNSS that was used."""
+
+    sample_index: int
+    innovations: tuple[Innovation | None, Innovation | None]
+
+
+class DelayedFilter:
+    """Works through steps, forward and again.
+
+    Parameters
+    ----------
+    config : FusionConfig
+    filter : LooseFilter
+        At the end of row ``row``.
+    row : int
+    history : ImuHistory
+    timeline : MotionTimeline
+    lever_arm_b : ndarray, shape (3,)
+        From IMU to antenna, forward-right-down [m].
+    sample_rate_hz : float
+
+    Attributes
+    ----------
+    row : int
+        Row of increments at whose end the filter stands.
+    """
+
+    def __init__(
+        self,
+        config: FusionConfig,
+        filter: LooseFilter,
+        row: int,
+        history: ImuHistory,
+        timeline: MotionTimeline,
+        lever_arm_b: FloatArray,
+        sample_rate_hz: float,
+    ) -> None:
+        self.config, self.filter, self.row = config, filter, row
+        self.history, self.timeline = history, timeline
+        self.lever_arm_b, self.sample_rate_hz = lever_arm_b, sample_rate_hz
+        self.rest: Rest | None = None
+        self.position, self.velocity = position_error(config), velocity_error(config)
+        self.counts = dict.fromkeys(
+            ("updates", "rejected", "recovered", "constraints", "undone", "undo_too_old"), 0
+        )
+        self._interval = sample_rate_hz / config.filter_rate_hz
+        self._kept = round(config.undo_s * sample_rate_hz)
+        self._pvts: list[Pvt] = []
+        self._last_pvt = -1
+        self._pvt_interval = 0.1
+        start = history.sample_index(row)
+        self._steps = [self._snapshot(start, 1)]
+
+    # What others need
+
+    @property
+    def nav(self) -> NavState:
+        """Where the filter stands."""
+        return self.filter.nav
+
+    @property
+    def done(self) -> tuple[int, int]:
+        """Sample and kind of the last step."""
+        return self._steps[-1].sample_index, self._steps[-1].kind
+
+    def covariance(self) -> FloatArray:
+        """Return the covariance of the 15 errors, that of a place held at rest included."""
+        P = self.filter.P
+        if self.rest is not None:
+            P[POS, POS] += self.rest.covariance_n
+        return P
+
+    def antenna_ecef(self) -> FloatArray:
+        """Return where the antenna is [m]."""
+        nav = self.filter.nav
+        lever_n = quat_rotate(nav.quat_nb, self.lever_arm_b)
+        C_ne = rotation_ned_ecef(nav.latitude, nav.longitude)
+        return ecef_from_geodetic([nav.latitude, nav.longitude, nav.height]) + lever_n @ C_ne
+
+    # Work
+
+    def push(self, pvt: Pvt) -> None:
+        """Take an epoch of GNSS that counts from now on."""
+        if pvt.status == PvtStatus.NONE or not np.isfinite(pvt.position_ecef).all():
+            return
+        insort(self._pvts, pvt, key=lambda item: item.sample_index)
+        if (pvt.sample_index, 1) <= self.done:
+            self.rewind(pvt.sample_index)
+
+    def rewind(self, sample_index: int) -> None:
+        """Undo all steps at or after a sample; `work` does them again."""
+        if self._steps[-1].sample_index < sample_index:
+            return
+        self.counts["undone"] += 1
+        if self._steps[0].sample_index >= sample_index and len(self._steps) > 1:
+            self.counts["undo_too_old"] += 1
+        while len(self._steps) > 1 and self._steps[-1].sample_index >= sample_index:
+            del self._steps[-1]
+        step = self._steps[-1]
+        self.filter.restore(step.filter)
+        self.row, self.rest = step.row, step.rest
+        self.position, self.velocity = step.position, step.velocity
+
+    def work(self, horizon: int) -> list[GnssUpdate]:
+        """Do all steps up to a sample; return what was done with GNSS."""
+        updates = []
+        while (due := self._next(horizon)) is not None:
+            sample, pvt = due
+            self._carry(self.history.number_at(sample))
+            still = self._settle(sample)
+            if pvt is None:
+                if still:
+                    self._constrain()
+            elif still:
+                self._learn(pvt)
+            elif (update := self._use(pvt)) is not None:
+                updates.append(update)
+            self._steps.append(self._snapshot(sample, int(pvt is not None)))
+        self._forget(horizon)
+        return updates
+
+    def _next(self, horizon: int) -> tuple[int, Pvt | None] | None:
+        """Return sample of the next step, and its epoch of GNSS."""
+        done = self.done
+        number = int(done[0] / self._interval)
+        while (regular := round(number * self._interval)) <= done[0]:
+            number += 1
+        key, pvt = (regular, 0), None
+        for item in self._pvts:
+            if (item.sample_index, 1) > done:
+                if (item.sample_index, 1) < key:
+                    key, pvt = (item.sample_index, 1), item
+                break
+        return (key[0], pvt) if key[0] <= horizon else None
+
+    def _carry(self, row: int) -> None:
+        """Propagate to the end of a row."""
+        if row <= self.row:
+            return
+        history, config = self.history, self.config
+        begin, end = self.row + 1, row + 1
+        angle, velocity = history.increments(begin, end)
+        self.filter.propagate(angle, velocity, history.dt)
+        missing = history.count(begin, end, RowFlag.MISSING) * history.dt
+        clipped = history.count(begin, end, RowFlag.CLIPPED) * history.dt
+        if missing or clipped:
+            walk2 = config.missing_walk**2 * missing + config.clipped_walk**2 * clipped
+            turn = np.radians(config.missing_angle_walk_deg) * missing**0.5
+            self.filter.widen(velocity_sd=walk2**0.5, attitude_sd=turn)
+        self.row = row
+
+    def _settle(self, sample_index: int) -> bool:
+        """Begin or end a rest where it begins or ends; return whether the station is at rest."""
+        still = self.timeline.is_still(sample_index)
+        if still and self.rest is None:
+            covariance = self.filter.P[POS, POS].copy()
+            self.rest = Rest(self.antenna_ecef(), self.filter.refer_attitude(), covariance)
+        elif not still and self.rest is not None:
+            nav = self.filter.nav
+            C_ne = rotation_ned_ecef(nav.latitude, nav.longitude)
+            place = C_ne.T @ self.rest.covariance_n @ C_ne
+            # What was learnt at a place is as uncertain as the place.
+            learnt = self.position.covariance + place
+            self.position = replace(self.position, covariance=learnt)
+            self.filter.widen(position_sd=self.rest.covariance_n)
+            self.rest = None
+        return still
+
+    def _constrain(self) -> None:
+        assert self.rest is not None
+        config, rest, nav = self.config, self.rest, self.filter.nav
+        place = config.still_position_sd**2 * np.eye(3)
+        angle_sd = np.radians(config.still_angle_sd_deg)
+        self._update(measurements.zero_velocity(nav, config.still_velocity_sd))
+        self._update(measurements.zero_angle(self.filter.nav, rest.C_nb, angle_sd))
+        self._update(
+            measurements.gnss_position(
+                self.filter.nav, rest.antenna_ecef, place, self.lever_arm_b
+            )
+        )
+        self.counts["constraints"] += 1
+
+    def _learn(self, pvt: Pvt) -> None:
+        assert self.rest is not None
+        seconds, dt = self._epoch(pvt)
+        self.position = self.position.learn(
+            seconds, pvt.position_ecef, self.rest.antenna_ecef, pvt.position_covariance_ecef, dt
+        )
+        if _has_velocity(pvt):
+            self.velocity = self.velocity.learn(
+                seconds, pvt.velocity_ecef, np.zeros(3), pvt.velocity_covariance_ecef, dt
+            )
+
+    def _use(self, pvt: Pvt) -> GnssUpdate | None:
+        if self.timeline.state(pvt.sample_index) == MotionKind.UNKNOWN:
+            return None
+        seconds, dt = self._epoch(pvt)
+        moved, gained = self._beyond(pvt.sample_index)
+        fix = self.position.correct(
+            seconds, pvt.position_ecef - moved, pvt.position_covariance_ecef, dt
+        )
+        measurement = measurements.gnss_position(
+            self.filter.nav, fix.value, fix.covariance, self.lever_arm_b
+        )
+        position, velocity = self._update(measurement), None
+        if _has_velocity(pvt):
+            fix = self.velocity.correct(
+                seconds, pvt.velocity_ecef - gained, pvt.velocity_covariance_ecef, dt
+            )
+            measurement = measurements.gnss_velocity(
+                self.filter.nav,
+                self.filter.omega_ib_b,
+                fix.value,
+                fix.covariance,
+                self.lever_arm_b,
+            )
+            velocity = self._update(measurement)
+        self.counts["updates"] += 1
+        return GnssUpdate(pvt.sample_index, (position, velocity))
+
+    def _update(self, measurement: measurements.Measurement) -> Innovation:
+        innovation = self.filter.update(measurement)
+        self.counts["rejected"] += not innovation.accepted
+        self.counts["recovered"] += innovation.recovered
+        return innovation
+
+    def _epoch(self, pvt: Pvt) -> tuple[float, float]:
+        """Return an epoch's time and the time since the one before [s]."""
+        earlier = [item.sample_index for item in self._pvts if item.sample_index < pvt.sample_index]
+        if earlier:
+            self._pvt_interval = (pvt.sample_index - earlier[-1]) / self.sample_rate_hz
+        return pvt.sample_index / self.sample_rate_hz, self._pvt_interval
+
+    def _beyond(self, sample_index: int) -> tuple[FloatArray, FloatArray]:
+        """Return by what position and velocity change from the filter's row to a sample, ECEF."""
+        nav, history = self.filter.nav, self.history
+        late = (sample_index - history.sample_index(self.row)) / self.sample_rate_hz
+        if late <= 0.0 or self.row + 1 >= history.end:
+            return late * np.zeros(3), np.zeros(3)
+        angle, velocity = history.increments(self.row + 1, self.row + 2)
+        angle = angle - self.filter.gyro_bias * history.dt
+        velocity = velocity - self.filter.accel_bias * history.dt
+        after, _ = propagate(nav, angle, velocity, history.dt)
+        gained = (after.vel_n - nav.vel_n) * (late / history.dt)
+        C_ne = rotation_ned_ecef(nav.latitude, nav.longitude)
+        return (late * (nav.vel_n + 0.5 * gained)) @ C_ne, gained @ C_ne
+
+    def _snapshot(self, sample_index: int, kind: int) -> Step:
+        return Step(
+            sample_index,
+            kind,
+            self.row,
+            self.filter.snapshot(),
+            self.rest,
+            self.position,
+            self.velocity,
+        )
+
+    def _forget(self, horizon: int) -> None:
+        """Drop what is too old to be undone."""
+        oldest = horizon - self._kept
+        while len(self._steps) > 1 and self._steps[1].sample_index < oldest:
+            del self._steps[0]
+        first = self._steps[0].sample_index
+        while len(self._pvts) > 1 and self._pvts[1].sample_index < first:
+            del self._pvts[0]
+
+
+def _has_velocity(pvt: Pvt) -> bool:
+    return bool(
+        np.isfinite(pvt.velocity_ecef).all() and np.isfinite(pvt.velocity_covariance_ecef).all()
+    )

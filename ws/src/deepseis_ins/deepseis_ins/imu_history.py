@@ -1,0 +1,220 @@
+"""The last seconds of IMU increments, in order and without holes.
+
+Samples come in any order and are put in rows, one for every interval of the IMU; rows of samples
+that are missing are made up and flagged:
+
+- a few missing ones between two that are there: a straight line between these;
+- a few that are late at the end: the last one goes on;
+- more: the mean over some seconds before, in which shaking averages out and gravity, the Earth's
+  rate and the biases remain.
+
+What a row holds depends on the samples alone, not on when they came: a late one that arrives
+after all puts everything where it would have been.
+"""
+
+from __future__ import annotations
+
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepseis_core.errors import InputError
+from deepseis_core.imu_grades import ImuGrade
+from deepseis_core.rotation import flu_from_frd
+from deepseis_core.types import FloatArray, ImuSample, IntArray
+from deepseis_ins.fusion_config import FusionConfig
+
+_AT_RANGE = 0.999
+"""Of the range: a rate so large is taken as clipped."""
+_ROWS = 4096
+"""Room for rows, at least."""
+
+
+class RowFlag(IntFlag):
+    """What is wrong with a row."""
+
+    MISSING = 1
+    CLIPPED = 2
+
+
+class ImuHistory:
+    """Rows of increments, numbered from the first sample on.
+
+    Parameters
+    ----------
+    config : FusionConfig
+    grade : ImuGrade
+        For its ranges.
+    imu_rate_hz, sample_rate_hz : float
+        [Hz]
+
+    Attributes
+    ----------
+    counts : dict of str to int
+        ``samples`` taken, ``missing`` rows, ``late`` samples that still found their place,
+        ``dropped`` ones (too late, twice there, not finite), ``clipped`` ones.
+    """
+
+    def __init__(
+        self, config: FusionConfig, grade: ImuGrade, imu_rate_hz: float, sample_rate_hz: float
+    ) -> None:
+        if not 0.0 < imu_rate_hz < sample_rate_hz:
+            raise InputError("IMU rate", f"{imu_rate_hz} Hz", f"above 0, below {sample_rate_hz}")
+        self.dt = 1.0 / imu_rate_hz
+        self.step = sample_rate_hz / imu_rate_hz
+        self._short = round(config.extrapolate_s * imu_rate_hz)
+        self._mean_rows = max(1, round(config.missing_mean_s * imu_rate_hz))
+        self._limits = _AT_RANGE * np.array([grade.gyros.range, grade.accelerometers.range])
+        self._pending: list[ImuSample] = []
+        self._index: IntArray = np.zeros(_ROWS, np.int64)
+        self._delta: FloatArray = np.zeros((_ROWS, 6))
+        self._flags: NDArray[np.uint8] = np.zeros(_ROWS, np.uint8)
+        self.first, self.end = 0, 0
+        self._anchor = -1  # last row of a sample that is there
+        self.counts = dict.fromkeys(("samples", "missing", "late", "dropped", "clipped"), 0)
+
+    def push(self, sample: ImuSample) -> None:
+        """Take a sample, in any order."""
+        self._pending.append(sample)
+
+    def take(self, through: int) -> int | None:
+        """Put samples up to sample index ``through`` in their rows.
+
+        Returns
+        -------
+        int or None
+            Number of the first row that is no longer what it was.
+        """
+        due = [item for item in self._pending if item.sample_index <= through]
+        if not due:
+            return None
+        self._pending = [item for item in self._pending if item.sample_index > through]
+        due.sort(key=lambda item: item.sample_index)
+        changed = [self._place(item) for item in due]
+        return min((number for number in changed if number is not None), default=None)
+
+    def fill(self, through: int) -> None:
+        """Make up rows so that none is missing up to sample index ``through``."""
+        if self._anchor < 0:
+            return
+        start = self.sample_index(self._anchor)
+        self._bridge(int((through - start) / self.step), None)
+
+    def sample_index(self, number: int) -> int:
+        """Return the sample index at the end of a row."""
+        return int(self._index[number - self.first])
+
+    def number_at(self, sample_index: int) -> int:
+        """Return the last row that ends at or before a sample; ``first - 1`` if none does."""
+        held = self._index[: self.end - self.first]
+        return self.first + int(np.searchsorted(held, sample_index, "right")) - 1
+
+    def indices(self, begin: int, end: int) -> IntArray:
+        """Return the sample indices at the ends of rows."""
+        return self._index[begin - self.first : end - self.first]
+
+    def increments(self, begin: int, end: int) -> tuple[FloatArray, FloatArray]:
+        """Return angles [rad] and velocities [m/s] of rows, forward-right-down, (m, 3) each."""
+        rows = self._delta[begin - self.first : end - self.first]
+        return rows[:, :3], rows[:, 3:]
+
+    def count(self, begin: int, end: int, flag: RowFlag) -> int:
+        """Return how many rows have a flag."""
+        rows = self._flags[max(begin - self.first, 0) : max(end - self.first, 0)]
+        return int(np.count_nonzero(rows & flag))
+
+    def forget(self, before: int) -> None:
+        """Drop rows before a number that nobody will ask for again."""
+        # What missing data are made of must stay, and moving the rest must pay.
+        before = min(before, self._anchor - self._mean_rows)
+        gone = before - self.first
+        if gone < _ROWS // 2:
+            return
+        kept = self.end - before
+        for array in (self._index, self._delta, self._flags):
+            array[:kept] = array[gone : gone + kept]
+        self.first = before
+
+    def _place(self, sample: ImuSample) -> int | None:
+        """Put a sample in its row; return the row if it was there already, made up."""
+        delta = np.concatenate(
+            [flu_from_frd(sample.angular_velocity), flu_from_frd(sample.linear_acceleration)]
+        )
+        if not np.isfinite(delta).all():
+            self.counts["dropped"] += 1
+            return None
+        if self._anchor < 0:
+            self._write(0, sample.sample_index, delta)
+            return None
+        ahead = round((sample.sample_index - self.sample_index(self._anchor)) / self.step)
+        number = self._anchor + ahead
+        if ahead <= 0:
+            return self._place_late(number, sample, delta)
+        known = self.end
+        self._bridge(ahead - 1, delta * self.dt)
+        self._write(number, sample.sample_index, delta)
+        return self._first_changed(known, number)
+
+    def _first_changed(self, known: int, number: int) -> int | None:
+        """Return the first row made up before a sample that has just come, if any was."""
+        if number >= known:
+            return None
+        self.counts["late"] += 1
+        while number - 1 >= self.first and self._flags[number - 1 - self.first] & RowFlag.MISSING:
+            number -= 1
+        return number
+
+    def _place_late(self, number: int, sample: ImuSample, delta: FloatArray) -> int | None:
+        row = number - self.first
+        if row < 0 or not self._flags[row] & RowFlag.MISSING:
+            self.counts["dropped"] += 1
+            return None
+        self.counts["late"] += 1
+        anchor = self._anchor
+        self._write(number, sample.sample_index, delta)
+        self._anchor = anchor
+        return number
+
+    def _write(self, number: int, sample_index: int, rates: FloatArray) -> None:
+        clipped = np.abs(rates).reshape(2, 3).max(axis=1) >= self._limits
+        self.counts["samples"] += 1
+        self.counts["clipped"] += bool(clipped.any())
+        self._set(number, sample_index, rates * self.dt, RowFlag.CLIPPED * bool(clipped.any()))
+        self._anchor = number
+
+    def _set(self, number: int, sample_index: int, delta: FloatArray, flags: int) -> None:
+        row = number - self.first
+        if row >= len(self._index):
+            room = 2 * len(self._index)
+            self._index = np.resize(self._index, room)
+            self._delta = np.resize(self._delta, (room, 6))
+            self._flags = np.resize(self._flags, room)
+        self._index[row], self._delta[row], self._flags[row] = sample_index, delta, flags
+        self.end = max(self.end, number + 1)
+
+    def _bridge(self, count: int, following: FloatArray | None) -> None:
+        """Make up ``count`` rows after the last sample, and before ``following`` if it is there."""
+        if count <= 0:
+            return
+        start = self.sample_index(self._anchor)
+        last = self._delta[self._anchor - self.first].copy()
+        known, made = self.end - self._anchor - 1, 0
+        if count > self._short:
+            rows = np.broadcast_to(self._mean(), (count, 6))
+            made = known if known > self._short else 0  # those are such already
+        elif following is None:
+            rows = np.broadcast_to(last, (count, 6))
+        else:
+            share = np.arange(1, count + 1)[:, None] / (count + 1.0)
+            rows = last + share * (following - last)
+        self.counts["missing"] += max(0, count - known)
+        for k in range(made, count):
+            index = start + int((k + 1) * self.step)
+            self._set(self._anchor + k + 1, index, rows[k], RowFlag.MISSING)
+
+    def _mean(self) -> FloatArray:
+        rows = slice(max(0, self._anchor + 1 - self._mean_rows - self.first), None)
+        held = slice(rows.start, self._anchor + 1 - self.first)
+        there = (self._flags[held] & RowFlag.MISSING) == 0
+        return np.asarray(self._delta[held][there].mean(axis=0))

@@ -1,0 +1,357 @@
+"""Loosely coupled filter of inertial navigation and GNSS: 15 states, closed loop.
+
+States and their noise: `deepseis_ins.error_state`; measurements: `deepseis_ins.measurements`.
+Errors estimated are taken off the navigation state at once, so that the filter's own state is
+zero between updates (thesis section 2.2.4, figure 2.9). Scale factors and misalignments of the
+IMU are considered, not estimated: they widen the covariance as the motion demands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from deepseis_core.config import check, setting
+from deepseis_core.errors import InputError
+from deepseis_core.imu_grades import ImuGrade
+from deepseis_core.kalman import chi_square_limit, correct_kernel, innovation_kernel
+from deepseis_core.rotation import matrix_from_quat
+from deepseis_core.types import FloatArray
+from deepseis_ins import loose_kernels as kernels
+from deepseis_ins.error_state import (
+    ACCEL,
+    ATT,
+    CONSIDERED,
+    GYRO,
+    POS,
+    REFERENCE,
+    STATES,
+    VEL,
+    bias_model,
+    considered_covariance,
+    noise_model,
+)
+from deepseis_ins.measurements import Measurement
+from deepseis_ins.nav_array import covariance, increments, pack, unpack, vector
+from deepseis_ins.strapdown import NavState, Trajectory
+from deepseis_ins.strapdown_kernels import ATTITUDE, DELTA_THETA, DELTA_VEL, INTERVAL
+
+_NOTHING = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class LooseConfig:
+    """Settings of the loosely coupled filter."""
+
+    covariance_step: float = setting(
+        0.05, "step of the covariance's propagation [s]", low=1e-4, high=1.0
+    )
+    false_alarm_probability: float = setting(
+        1e-5, "of a good innovation to be rejected [-]", low=0.0, high=0.1
+    )
+    rejections_before_recovery: int = setting(
+        10, "of one kind in a row, then its states are widened and it is believed", low=1
+    )
+
+
+@dataclass(frozen=True)
+class Innovation:
+    """How a measurement agreed with what was predicted.
+
+    Attributes
+    ----------
+    name : str
+        Kind of the measurement.
+    z, sd : ndarray, shape (3,)
+        Prediction minus measurement and what it should amount to; north, east, down.
+    normalised_squared : float
+        ``z S^-1 z``; chi-square with three degrees of freedom if all is as modelled.
+    accepted : bool
+    recovered : bool
+        The states had to be widened first: z, sd and the normalised square are those before.
+    """
+
+    name: str
+    z: FloatArray
+    sd: FloatArray
+    normalised_squared: float
+    accepted: bool
+    recovered: bool = False
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All that a filter is at a moment; `LooseFilter.restore` brings it back to the bit."""
+
+    x: FloatArray
+    bias: FloatArray
+    pending: FloatArray
+    P: FloatArray
+    U: FloatArray
+    B: FloatArray
+    rejected: Mapping[str, int]
+
+
+class LooseFilter:
+    """Navigation state, biases and covariance, carried on by increments and by measurements.
+
+    Parameters
+    ----------
+    config : LooseConfig
+    grade : ImuGrade
+        Of the unit whose increments come.
+    nav : NavState
+        Where it starts.
+    attitude_sd, position_sd, velocity_sd : array_like, shape (3,)
+        Standard deviations of that, north, east, down [rad, m, m/s]; or attitude_sd of shape
+        (3, 3), a covariance [rad^2].
+    gyro_bias, accel_bias : array_like, shape (3,)
+        Forward-right-down [rad/s, m/s^2].
+    gyro_bias_sd, accel_bias_sd : array_like, shape (3,), optional
+        What is unknown of them; without, all that the grade says.
+
+    Notes
+    -----
+    The attitude given is that which `zero_angle` refers to, until `refer_attitude` says otherwise.
+
+    Examples
+    --------
+    A unit at rest for a second, its bias unknown:
+
+    >>> from deepseis_core.imu_grades import grade_named
+    >>> start = NavState(0.6, 2.4, 50.0, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
+    >>> filter = LooseFilter(
+    ...     LooseConfig(), grade_named("span-fsas"), start, attitude_sd=[1e-3] * 3,
+    ...     position_sd=[1.0] * 3, velocity_sd=[0.01] * 3,
+    ... )
+    >>> _ = filter.propagate(np.zeros((200, 3)), np.tile([0.0, 0.0, -0.0489], (200, 1)), 0.005)
+    >>> [round(float(sd), 3) for sd in filter.sd[3:6]]
+    [0.018, 0.018, 0.015]
+    """
+
+    def __init__(
+        self,
+        config: LooseConfig,
+        grade: ImuGrade,
+        nav: NavState,
+        *,
+        attitude_sd: ArrayLike,
+        position_sd: ArrayLike,
+        velocity_sd: ArrayLike,
+        gyro_bias: ArrayLike = _NOTHING,
+        accel_bias: ArrayLike = _NOTHING,
+        gyro_bias_sd: ArrayLike | None = None,
+        accel_bias_sd: ArrayLike | None = None,
+    ) -> None:
+        try:
+            check(config)
+        except ValueError as error:
+            raise InputError("loose filter", str(error)) from None
+        if not grade.has_gyros:
+            raise InputError("loose filter", "needs gyroscopes, this grade has none")
+        self.config, self.grade = config, grade
+        self._x = pack(nav)
+        self._bias = np.hstack([vector("gyro bias", gyro_bias), vector("accel bias", accel_bias)])
+        self._model, self._B = noise_model(grade), considered_covariance(grade)
+        self._P, self._U = np.zeros((STATES, STATES)), np.zeros((STATES, CONSIDERED))
+        if gyro_bias_sd is None:
+            gyro_bias_sd = bias_model(grade.gyros).sd
+        if accel_bias_sd is None:
+            accel_bias_sd = bias_model(grade.accelerometers).sd
+        self._P[POS, POS] = covariance("position", position_sd)
+        self._P[VEL, VEL] = covariance("velocity", velocity_sd)
+        self._P[ATT, ATT] = covariance("attitude", attitude_sd)
+        self._P[GYRO, GYRO] = covariance("gyro bias", gyro_bias_sd)
+        self._P[ACCEL, ACCEL] = covariance("accel bias", accel_bias_sd)
+        self._pending = np.zeros(kernels.PENDING_SIZE)
+        kernels.begin_kernel(self._x, self._pending)
+        self._limit = (
+            chi_square_limit(3, config.false_alarm_probability)
+            if config.false_alarm_probability > 0.0
+            else np.inf
+        )
+        self._rejected: dict[str, int] = {}
+        self._reference = matrix_from_quat(self._x[ATTITUDE:DELTA_THETA])
+        self.refer_attitude()
+
+    # What is known
+
+    @property
+    def nav(self) -> NavState:
+        """Position, velocity, attitude, with all corrections."""
+        return unpack(self._x)
+
+    @property
+    def gyro_bias(self) -> FloatArray:
+        """Estimate, shape (3,) [rad/s]: what is taken off the increments."""
+        return self._bias[:3].copy()
+
+    @property
+    def accel_bias(self) -> FloatArray:
+        """Estimate, shape (3,) [m/s^2]."""
+        return self._bias[3:].copy()
+
+    @property
+    def omega_ib_b(self) -> FloatArray:
+        """Angular rate of the last interval, bias removed, shape (3,) [rad/s]."""
+        interval = self._x[INTERVAL]
+        return self._x[DELTA_THETA:DELTA_VEL] / interval if interval > 0.0 else np.zeros(3)
+
+    @property
+    def P(self) -> FloatArray:  # noqa: N802
+        """Covariance of the errors now, shape (15, 15); see `deepseis_ins.error_state`."""
+        P, U = self._P.copy(), self._U.copy()
+        kernels.complete_kernel(
+            self._x, self._bias.copy(), self._pending.copy(), P, U, self._B, self._model
+        )
+        return P
+
+    @property
+    def sd(self) -> FloatArray:
+        """Standard deviations, shape (15,)."""
+        return np.sqrt(np.diag(self.P))
+
+    # What moves it
+
+    def propagate(
+        self, delta_theta_b: ArrayLike, delta_vel_b: ArrayLike, dt: ArrayLike
+    ) -> Trajectory:
+        """Carry everything over m intervals; arguments and result of `Strapdown.propagate`.
+
+        Increments are as measured: the biases are removed here. However a span is cut into
+        calls, the result is the same to the bit.
+        """
+        delta_theta, delta_vel, dts = increments(delta_theta_b, delta_vel_b, dt)
+        count = dts.size
+        out = Trajectory(np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 4)))
+        kernels.propagate_kernel(
+            self._x, self._bias, self._pending, self._P, self._U, self._B, self._model,
+            self.config.covariance_step, delta_theta, delta_vel, dts,
+            out.geodetic, out.vel_n, out.quat_nb,
+        )  # fmt: skip
+        return out
+
+    def update(self, measurement: Measurement) -> Innovation:
+        """Work a measurement in, unless it cannot be true.
+
+        Its normalised square is held against chi-square. What is rejected changes nothing; after
+        so many rejections of one kind in a row it is the filter that must be wrong: the states
+        measured are widened by the innovation, and the measurement is believed.
+
+        Raises
+        ------
+        InputError
+            The measurement is not finite or its covariance not positive definite.
+        """
+        m = measurement
+        if not np.isfinite(m.z).all():
+            raise InputError(f"measurement {m.name}", "is not finite")
+        self._complete()
+        squared, S = self._innovation(m)
+        sd = np.sqrt(np.diag(S))
+        accepted = squared <= self._limit
+        rejected = 0 if accepted else self._rejected.get(m.name, 0) + 1
+        recovered = rejected >= self.config.rejections_before_recovery
+        self._rejected[m.name] = 0 if recovered else rejected
+        if recovered:
+            diagonal = np.arange(STATES)[m.states]
+            self._P[diagonal, diagonal] += m.z**2
+            S = self._innovation(m)[1]
+        if accepted or recovered:
+            self._correct(m, S)
+        return Innovation(
+            m.name, m.z.copy(), sd, squared, bool(accepted or recovered), bool(recovered)
+        )
+
+    def widen(
+        self,
+        *,
+        position_sd: ArrayLike = 0.0,
+        velocity_sd: ArrayLike = 0.0,
+        attitude_sd: ArrayLike = 0.0,
+    ) -> None:
+        """Add uncertainty, as after a gap or while the IMU clipped (arguments: [m, m/s, rad])."""
+        self._complete()
+        for name, part, sd in (
+            ("position", POS, position_sd),
+            ("velocity", VEL, velocity_sd),
+            ("attitude", ATT, attitude_sd),
+        ):
+            self._P[part, part] += covariance(name, sd)
+
+    def replace_nav(self, nav: NavState) -> None:
+        """Put another state in the place of the present one, the covariance as it is.
+
+        For gaps in the increments: carry the state over it by other means, `widen`, and set
+        ``previous_dt`` to 0.
+        """
+        self._complete()
+        self._x = pack(nav)
+        kernels.begin_kernel(self._x, self._pending)
+
+    def refer_attitude(
+        self, C_nb_reference: ArrayLike | None = None, sd: ArrayLike = 0.0
+    ) -> FloatArray:
+        """Set the attitude that `zero_angle` refers to from now on; return it, shape (3, 3).
+
+        Parameters
+        ----------
+        C_nb_reference : array_like, shape (3, 3), optional
+            From a survey that has nothing to do with the filter's attitude. Without, it is the
+            filter's attitude now, whose error it then shares.
+        sd : array_like, shape () or (3,)
+            Of such a survey, north, east, down [rad].
+        """
+        self._complete()
+        self._U[:, REFERENCE] = 0.0
+        self._B[REFERENCE, :], self._B[:, REFERENCE] = 0.0, 0.0
+        if C_nb_reference is None:
+            self._reference = matrix_from_quat(self._x[ATTITUDE:DELTA_THETA])
+            self._U[:, REFERENCE] = self._P[:, ATT]
+            self._B[REFERENCE, :] = self._U[ATT, :]
+            self._B[:, REFERENCE] = self._U[ATT, :].T
+            self._B[REFERENCE, REFERENCE] = self._P[ATT, ATT]
+        else:
+            self._reference = np.array(C_nb_reference, np.float64)
+            self._B[REFERENCE, REFERENCE] = covariance("reference attitude", sd)
+        return self._reference.copy()
+
+    # Undo
+
+    def snapshot(self) -> Snapshot:
+        """Return all that the filter is now."""
+        return Snapshot(
+            self._x.copy(), self._bias.copy(), self._pending.copy(), self._P.copy(),
+            self._U.copy(), self._B.copy(), MappingProxyType(dict(self._rejected)),
+        )  # fmt: skip
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Be again what the filter was."""
+        s = snapshot
+        self._x, self._bias, self._pending = s.x.copy(), s.bias.copy(), s.pending.copy()
+        self._P, self._U, self._B = s.P.copy(), s.U.copy(), s.B.copy()
+        self._rejected = dict(s.rejected)
+
+    def _complete(self) -> None:
+        """Carry the covariance to now."""
+        kernels.complete_kernel(
+            self._x, self._bias, self._pending, self._P, self._U, self._B, self._model
+        )
+
+    def _innovation(self, m: Measurement) -> tuple[float, FloatArray]:
+        """Return an innovation's normalised square and covariance."""
+        S = np.empty((3, 3))
+        squared = innovation_kernel(self._P, self._U, self._B, m.H, m.D, m.R, m.z, S)
+        if not squared >= 0.0:
+            raise InputError(f"measurement {m.name}", "has a covariance that is no covariance")
+        return squared, S
+
+    def _correct(self, m: Measurement, S: FloatArray) -> None:
+        x = np.empty(STATES)
+        correct_kernel(self._P, self._U, self._B, m.H, m.D, m.R, m.z, S, x)
+        kernels.feed_back_kernel(self._x, self._bias, x)
+        kernels.begin_kernel(self._x, self._pending)

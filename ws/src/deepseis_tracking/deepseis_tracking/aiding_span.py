@@ -1,0 +1,107 @@
+"""Aiding of one satellite, joined over the last blocks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepseis_core.types import Aiding, FloatArray
+from deepseis_tracking.channel_state import AID
+from deepseis_tracking.nco import aid_growth
+
+KEPT_S = 1.2
+"""Of the past: longer than from the acquisition's samples to the hand-over, a slot later [s]."""
+
+
+class AidingSpan:
+    """Knots of one satellite, the last ones known.
+
+    Parameters
+    ----------
+    sample_rate_hz : float
+        [Hz]
+
+    Attributes
+    ----------
+    record : ndarray of AID, shape (1,)
+        As the compiled channel takes it.
+    knots, rates : ndarray
+        Doppler [Hz] and its rate [Hz/s] at the uniform knots.
+    """
+
+    def __init__(self, sample_rate_hz: float) -> None:
+        self.sample_rate_hz = sample_rate_hz
+        self.record = np.zeros(1, AID)
+        self.record["step"], self.record["through"] = 1, -1
+        self.record["clock_hz"] = np.nan
+        self.knots: FloatArray = np.zeros(0)
+        self.rates: FloatArray = np.zeros(0)
+
+    @property
+    def valid(self) -> bool:
+        """Whether it may be used."""
+        return bool(self.record["valid"][0])
+
+    @valid.setter
+    def valid(self, valid: bool) -> None:
+        self.record["valid"] = valid
+
+    @property
+    def through(self) -> int:
+        """Last sample that aiding has been given for."""
+        return int(self.record["through"][0])
+
+    def growth(self, begin: int, end: int) -> float:
+        """Growth of the Doppler between two samples [Hz]; 0 where they are not both known."""
+        aid = self.record[0]
+        if not len(self.knots) or begin < aid["first"]:
+            return 0.0
+        return float(aid_growth(float(begin), float(end), aid, self.rates, self.sample_rate_hz))
+
+    def take(self, aiding: Aiding, satellite: str, sd_limit_hz: float) -> str:
+        """Append the satellite's knots of a message.
+
+        Returns
+        -------
+        str
+            Why aiding that was in use ends here: "invalid", "uncertain", or "" if it does not.
+        """
+        was_valid = self.valid
+        reason = self._fault(aiding, satellite, sd_limit_hz)
+        if reason:
+            self.valid = False
+            return reason if was_valid else ""
+        row = aiding.satellites.index(satellite)
+        self._append(aiding, aiding.carrier_doppler_hz[row], aiding.carrier_doppler_rate[row])
+        self.record["through"], self.record["clock_hz"] = (
+            aiding.valid_through,
+            aiding.clock_drift_hz,
+        )
+        self.valid = True
+        return ""
+
+    def _fault(self, aiding: Aiding, satellite: str, sd_limit_hz: float) -> str:
+        if not aiding.valid or satellite not in aiding.satellites:
+            return "invalid"
+        if aiding.knot_count < 1 or aiding.knot_step_samples < 1:
+            return "invalid"
+        row = aiding.satellites.index(satellite)
+        for table in (aiding.carrier_doppler_hz, aiding.carrier_doppler_rate):
+            if not np.isfinite(table[row]).all():
+                return "invalid"
+        return "" if aiding.doppler_sd_hz[row] <= sd_limit_hz else "uncertain"
+
+    def _append(self, aiding: Aiding, knots: FloatArray, rates: FloatArray) -> None:
+        """Join knots on to those at hand, if they lie on the same grid without a hole."""
+        first, step = aiding.knot_sample_index, aiding.knot_step_samples
+        old_first, old_step = int(self.record["first"][0]), int(self.record["step"][0])
+        count = len(self.knots)
+        overlap = old_first + count * old_step - first if count else -1
+        if step == old_step and overlap % step == 0 and 0 <= overlap <= count * step:
+            old = count - overlap // step
+            keep = round(KEPT_S * self.sample_rate_hz / step)
+            low = max(0, old - keep)
+            knots = np.concatenate([self.knots[low:old], knots])
+            rates = np.concatenate([self.rates[low:old], rates])
+            first = old_first + low * step
+        self.knots, self.rates = knots, rates
+        self.record["first"], self.record["step"] = first, step
