@@ -1,3 +1,4 @@
+import errno
 import json
 import resource
 from dataclasses import replace
@@ -7,14 +8,15 @@ import pytest
 
 from deepseis_bringup.simulate import simulate
 from deepseis_core.errors import InputError
+from deepseis_core.imu_message import decode_imu
 from deepseis_core.mcap_scan import McapScan
 from deepseis_core.ros import codecs
-from deepseis_core.imu_message import decode_imu
 from deepseis_core.sample_clock import SampleClock
 from deepseis_frontend.if_bag import IfBag
 from deepseis_frontend.if_file import IfFile
 from deepseis_sim.motions import Circle
 from deepseis_sim.scenario import ReceiverConfig, load_scenario
+from deepseis_sim.truth_file import TruthFile
 
 STATIC = replace(load_scenario("static", short=True), duration=0.3, seed=5)
 START_NS = STATIC.start.time.to_utc_ns()
@@ -115,6 +117,20 @@ def test_bad_settings_leave_nothing_behind(tmp_path, existed):
         made(scenario, folder)
     assert folder.exists() == existed
     assert not existed or not list(folder.iterdir())
+
+
+@pytest.mark.parametrize("existed", [True, False])
+def test_a_full_disk_is_told_in_one_line_and_leaves_nothing_behind(tmp_path, monkeypatch, existed):
+    def full(*_given, **_more):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    folder = tmp_path / "a"
+    if existed:
+        folder.mkdir()
+    monkeypatch.setattr(TruthFile, "append", full)
+    with pytest.raises(InputError, match="a: cannot be written: No space left on device"):
+        made(STATIC, folder)
+    assert list(tmp_path.rglob("*")) == ([folder] if existed else [])
 
 
 @pytest.mark.slow

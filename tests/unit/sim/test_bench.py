@@ -59,6 +59,20 @@ def test_a_value_lies_in_the_span_of_its_validity():
             assert begin * 250 <= item.offset_ns < end * 250
 
 
+@pytest.mark.parametrize("rate", [3.333e6, 16.367667e6])
+def test_truth_is_that_of_the_very_samples_it_names(rate):
+    config = ReceiverConfig(sample_rate_hz=rate)
+    bench = Bench(scenario(receiver=config, signal=False, imu=None, motion=FULL["motion"]))
+    truth = of(bench.items(0, round(0.2 * rate)), "truth")[0].value
+    time = truth.satellite_sample_index / rate
+    phase = bench.model.delays(time).carrier_phase_cycles + bench.model.initial_phase_cycles
+    np.testing.assert_allclose(truth.carrier_phase_cycles, phase, rtol=0.0, atol=1e-7)
+    time = truth.sample_index / rate
+    np.testing.assert_allclose(
+        truth.position_ecef, bench.model.antenna(time - bench.clock(time)), rtol=0.0, atol=1e-8
+    )
+
+
 def test_how_the_run_is_cut_changes_nothing(items):
     bench = Bench(scenario(**FULL))
     pieces = [(k * 400_000, (k + 1) * 400_000) for k in range(10)]

@@ -4,7 +4,8 @@ import pytest
 
 from deepseis_core.errors import InputError
 from deepseis_core.yaml_config import read_yaml
-from deepseis_sim.scenario import FOLDER, load_scenario, scenario_names
+from deepseis_sim.bench import Bench
+from deepseis_sim.scenario import FOLDER, load_scenario, scenario_names, summary_of
 
 PAPERS = {
     "static",
@@ -86,13 +87,48 @@ def test_an_unknown_name_lists_the_known_ones():
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(InputError, match="gone.yaml"):
+    with pytest.raises(InputError, match=r"gone\.yaml"):
         load_scenario(str(tmp_path / "gone.yaml"))
 
 
 def test_there_must_be_a_short_form_to_ask_for_one(tmp_path):
     with pytest.raises(InputError, match="no short form"):
         load_scenario(str(write(tmp_path, "title: x")), short=True)
+
+
+def test_an_empty_short_form_is_none(tmp_path):
+    path = write(tmp_path, "title: x\nshort:\n")
+    assert load_scenario(str(path)).title == "x"
+    with pytest.raises(InputError, match="no short form"):
+        load_scenario(str(path), short=True)
+
+
+def test_who_names_a_record_gets_it_or_an_error():
+    assert load_scenario("quake").stand_in
+    assert load_scenario("quake", settings=["motion.0.start=20"]).stand_in
+    assert not load_scenario("quake", settings=["motion.0.file=gone.at2"]).stand_in
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "reason"),
+    [
+        ("seed: 2\nimu: {rate_hz: 400}", 2, "IMU rate: is 400 Hz"),
+        ("signal: false\nsky:\n  elevation_mask_deg: 89", 2, "no satellite is visible"),
+        ("motion:\n- kind: profile\n  segments: []", 1, "nothing moves"),
+        ("jammers:\n- frequency_offset_hz: 1e8", 1, "outside of the sampled band"),
+        ("signal: false\npositions: {white_sd: [1]}", 2, "three values"),
+    ],
+)
+def test_what_only_the_bench_finds_out_is_named_by_its_line_too(tmp_path, text, line, reason):
+    with pytest.raises(InputError, match=reason) as caught:
+        Bench(load_scenario(str(write(tmp_path, text))))
+    assert f"mine.yaml:{line}: " in str(caught.value)
+
+
+def test_the_summary_says_what_was_changed():
+    loaded = load_scenario("static", short=True, settings=["seed=7", "imu=false"])
+    said = summary_of(loaded)
+    assert (said["short"], said["changes"], said["seed"]) == (True, ["seed=7", "imu=false"], 7)
 
 
 def test_files_count_from_the_scenario_s_folder(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -49,6 +50,15 @@ def replay(
     without_if: Annotated[
         bool, typer.Option("--without-if", help="Do not record the samples again.")
     ] = False,
+    without_imu: Annotated[
+        bool, typer.Option("--without-imu", help="Leave the IMU aside: loops without aiding.")
+    ] = False,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", help="Parameter of a node: tracker.aided_bandwidth_hz=5; repeatable."
+        ),
+    ] = None,
 ) -> None:
     r"""Run a recorded run's samples through the graph again.
 
@@ -68,6 +78,8 @@ def replay(
             mode="realtime" if realtime else "lockstep",
             one_process=not separate,
             record_if=not without_if,
+            aiding="" if without_imu else "auto",
+            parameters=parameters_of(settings or ()),
         )
         say_figures(runs.replay(bag_of(bag), folder, options))
 
@@ -132,6 +144,30 @@ def process(
         )
 
     into_run_folder(output, work)
+
+
+def parameters_of(settings: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return the parameters of nodes, by kind, that ``kind.name=value`` texts set.
+
+    Raises
+    ------
+    InputError
+        A text is none, or names no kind of node.
+    """
+    import yaml
+
+    from deepseis_bringup.graph import KINDS
+    from deepseis_core.errors import InputError
+
+    found: dict[str, dict[str, Any]] = {}
+    for text in settings:
+        name, equals, value = text.partition("=")
+        kind, dot, parameter = name.partition(".")
+        if not (equals and dot and parameter) or kind not in KINDS:
+            hint = "such as tracker.aided_bandwidth_hz=5.0; kinds: " + ", ".join(KINDS)
+            raise InputError(f"--set {text}", "is not KIND.NAME=VALUE", hint)
+        found.setdefault(kind, {})[parameter] = yaml.safe_load(value)
+    return found
 
 
 def register(app: typer.Typer) -> None:

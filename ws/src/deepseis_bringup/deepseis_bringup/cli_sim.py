@@ -71,8 +71,10 @@ def sim(
 
     def work(folder: Path) -> None:
         from deepseis_bringup.simulate import simulate
+        from deepseis_bringup.station import terminate_is_interrupt
 
-        summary = simulate(loaded, folder, keep_raw=raw)
+        with terminate_is_interrupt():
+            summary = simulate(loaded, folder, keep_raw=raw)
         if summary["motion_stands_in"]:
             say(f"{loaded.name}: its record is not at hand, an artificial motion stands in")
         typer.echo(f"satellites = {' '.join(summary['satellites'])}")

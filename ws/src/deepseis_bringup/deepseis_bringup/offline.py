@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
 from deepseis_bringup.graph import GraphConfig
+from deepseis_bringup.offline_inertial import InertialChain
 from deepseis_core.config import check
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.rinex_nav import read_rinex_nav
@@ -99,7 +100,7 @@ class OfflineChain:
             names,
             _pick(TrackingConfig, tracker),
             _pick(SlotConfig, tracker),
-            wait_aiding=aiding is not None,
+            wait_aiding=aiding is not None or config.aiding == "fusion",
         )
         known = config.parameters.get("pvt", {})
         self.pvt = _pvt_engine(config, known)
@@ -107,6 +108,9 @@ class OfflineChain:
         self.pvt.assist(
             assistance_of(known.get("position_ecef", ()), self.clock, troposphere=troposphere)
         )
+        self.inertial: InertialChain | None = None
+        if config.aiding == "fusion":
+            self.inertial = InertialChain(chosen.file, self.clock, config.parameters, _pick)
 
     def run(self) -> Iterator[Output]:
         """Work through the recording; yield what the graph would publish."""
@@ -119,12 +123,23 @@ class OfflineChain:
                 first = self.clock.utc_ns(aiding.knot_sample_index)
                 yield Output("aiding/doppler", aiding, first)
                 self.tracking.push_aiding(aiding)
+            last = block.sample_index + block.sample_count - 1
+            yield from self._fused(last)
             yield from self._search()
             output = self.tracking.advance()
             assert output is not None, f"waits for {self.tracking.waiting_for()}"
             yield from self._tracked(output, utc_ns)
             yield from self._positions()
         yield from self._positions(self.pvt.newest_sample())
+
+    def _fused(self, through: int) -> Iterator[Output]:
+        """Work out the inertial half through a sample; its aiding goes to the trackers."""
+        if self.inertial is None:
+            return
+        for topic, value, utc_ns in self.inertial.advance(through):
+            yield Output(topic, value, utc_ns)
+            if topic == "aiding/doppler":
+                self.tracking.push_aiding(value)
 
     def _search(self) -> Iterator[Output]:
         engine = self.acquisition
@@ -143,6 +158,8 @@ class OfflineChain:
             stamp = self.clock.utc_ns(ephemeris.effective_sample_index)
             yield Output("gnss/ephemeris", ephemeris, stamp)
             self.pvt.push_ephemeris(ephemeris)
+            if self.inertial is not None:
+                self.inertial.push_ephemeris(ephemeris)
         for satellite, sample_index in output.requests:
             stamp = self.clock.utc_ns(sample_index)
             yield Output("acquisition/request", (satellite, sample_index), stamp)
@@ -157,6 +174,10 @@ class OfflineChain:
     def _positions(self, force_through: int | None = None) -> Iterator[Output]:
         for observations, pvt in self.pvt.advance(force_through):
             yield from _solved(observations, pvt)
+            if self.inertial is not None and pvt is not None:
+                self.inertial.push_pvt(pvt)
+        if self.inertial is not None:
+            self.inertial.pvt_valid(self.pvt.valid_through)
 
 
 def _solved(observations: Observations, pvt: Pvt | None) -> Iterator[Output]:
@@ -194,6 +215,7 @@ def _pick(config_type: type[Config], given: Any) -> Config:
 
 def encode(output: Output) -> bytes:
     """Return the bytes that the graph publishes for an output."""
+    from deepseis_core.imu_message import encode_imu
     from deepseis_core.ros import codecs
     from deepseis_core.ros.cdr import Codec, encode_message
     from deepseis_core.ros.navsat import fix_from_pvt
@@ -201,6 +223,10 @@ def encode(output: Output) -> bytes:
     topic, value, utc_ns = output.topic, output.value, output.utc_ns
     if topic == "gnss/fix":
         return encode_message(fix_from_pvt(value, utc_ns))
+    if topic == "imu/data_raw":
+        return encode_imu(value, utc_ns)
+    if topic == "ins/solution":
+        return codecs.INS_SOLUTION.encode(value, utc_ns, "map")
     if topic == "acquisition/request":
         satellite, sample_index, *_ = value
         return encode_message(codecs.acquisition_request(satellite, sample_index, utc_ns))
@@ -211,5 +237,6 @@ def encode(output: Output) -> bytes:
         "gnss/observations": codecs.OBSERVATIONS,
         "gnss/pvt": codecs.PVT,
         "aiding/doppler": codecs.DOPPLER_AIDING,
+        "motion/state": codecs.MOTION_STATE,
     }
     return by_topic.get(topic, codecs.TRACKING_EPOCHS).encode(value, utc_ns)

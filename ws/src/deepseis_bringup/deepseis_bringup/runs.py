@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
 from deepseis_bringup.graph import ALL_SATELLITES, GraphConfig, build_graph
+from deepseis_bringup.inertial import has_imu, inertial_parameters
 from deepseis_bringup.run_records import input_hash, recorded_run, versions, with_records
 from deepseis_bringup.supervisor import NodeFailureError, Supervisor, own_domain, running
 from deepseis_bringup.watch import GraphWatch
@@ -225,6 +226,9 @@ def graph_config(
         week = GpsTime.from_utc_ns(start_ns).week
         for kind in ("tracker", "acquisition"):
             parameters.setdefault(kind, {}).setdefault("reference_week", week)
+    if options.aiding == "fusion":
+        for kind, known in inertial_parameters(Path(selection.file), source).items():
+            parameters[kind] = {**known, **parameters.get(kind, {})}
     if source.total_samples and source.total_samples < SHORT_S * source.sample_rate_hz:
         for kind, values in SHORT_SETTINGS.items():
             parameters[kind] = {**values, **parameters.get(kind, {})}
@@ -272,6 +276,9 @@ def replay(
     from deepseis_bringup.report import write_report
 
     recorded = recorded_run(bag)
+    if options.aiding == "auto":
+        aiding = "fusion" if has_imu(bag, open_source(Selection(str(bag)))) else ""
+        options = replace(options, aiding=aiding)
     satellites = recorded.satellites if options.satellites == ALL_SATELLITES else ()
     options = replace(
         options,

@@ -20,7 +20,9 @@ from deepseis_core.imu_grades import STANDARD_GRAVITY
 
 OWN_FILES: Final = ("report.html", "summary.json")
 MESSAGES: Final = "messages."
-MADE_OF: Final = ("scenario", "source", "seed", "imu_grade", "if_format", "sample_rate_hz")
+MADE_OF: Final = (
+    "scenario", "short", "changes", "source", "seed", "imu_grade", "if_format", "sample_rate_hz",
+)  # fmt: skip
 
 
 def page(pictures: Pictures, summary: Mapping[str, Any], folder: Path, title: str) -> str:
@@ -108,8 +110,7 @@ def _head(pictures: Pictures, summary: Mapping[str, Any], title: str) -> str:
 def verdict(pictures: Pictures, summary: Mapping[str, Any]) -> str:
     """Say in a sentence or two what was made."""
     scenario = pictures.bench.scenario
-    text = f"{scenario.title}. " if scenario.title else ""
-    text += _seconds(scenario.duration) + (_motion(pictures) or " at rest")
+    text = _seconds(scenario.duration) + (_motion(pictures) or " at rest")
     count = len(pictures.satellites)
     text += f"; {count} satellite{'' if count == 1 else 's'}"
     text += "" if scenario.signal else ", as observations without a signal"

@@ -29,7 +29,7 @@ from deepseis_sim.truth_file import TruthFile
 
 @contextmanager
 def nothing_half_written(folder: Path) -> Iterator[None]:
-    """Make a folder, and empty it again if what fills it fails."""
+    """Make a folder, and empty it again if what fills it fails; a full disk is bad input."""
     existed = folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -37,11 +37,14 @@ def nothing_half_written(folder: Path) -> Iterator[None]:
         raise InputError(folder, f"cannot be made: {error.strerror}") from None
     try:
         yield
-    except BaseException:
+    except BaseException as error:
         for path in folder.iterdir():
             shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink()
         if not existed:
             folder.rmdir()
+        if isinstance(error, OSError):
+            reason = f"cannot be written: {error.strerror or error}"
+            raise InputError(error.filename or folder, reason) from None
         raise
 
 

@@ -18,7 +18,8 @@ LEAD: Final = (
     "Their pictures are lost: what the text reads off them is marked, and stands beside ours."
 )
 OWN_STYLE: Final = "<style>body>footer{display:none}td .line{white-space:normal}</style>"
-HEIGHT: Final = 380
+HEIGHT: Final = 330
+LEGEND_ROW: Final = 19
 
 
 def page(
@@ -65,9 +66,8 @@ def figure(chart: Chart) -> Figure:
         trace = line(chart.x, curve.y, own, line=style, name=curve.name, showlegend=True)
         hover = f"{escape(curve.name)}<br>{chart.x_name}: %{{x:.4g}}<br>%{{y:.3g}}°<extra></extra>"
         data.append(trace | {"hovertemplate": hover})
-    return Figure(
-        chart.title, chart.caption, [Panel(data, _layout(chart), HEIGHT)], half=chart.half
-    )
+    height = HEIGHT + LEGEND_ROW * ((len(data) + 1) // 2)
+    return Figure(chart.title, chart.caption, [Panel(data, _layout(chart), height)], chart.half)
 
 
 def _layout(chart: Chart) -> dict[str, Any]:
@@ -94,8 +94,13 @@ def _layout(chart: Chart) -> dict[str, Any]:
         "shapes": shapes,
         "annotations": notes,
         "showlegend": True,
-        "legend": {"orientation": "h", "y": -0.2, "yanchor": "top", "x": 0},
-        "margin": {"b": 120},
+        "legend": {
+            "orientation": "h",
+            "y": 1.08 if chart.marks else 1.02,
+            "yanchor": "bottom",
+            "x": 0,
+        }
+        | {"entrywidth": 0.48, "entrywidthmode": "fraction"},
     }
 
 
@@ -118,7 +123,8 @@ def _inconsistencies(found: Mapping[str, str]) -> str:
         for where, text in found.items()
     )
     return (
-        '<h2>Where the papers contradict themselves</h2><div class="figures"><figure>'
+        "<h2>Where the papers contradict themselves or are silent</h2>"
+        '<div class="figures"><figure>'
         f'<div class="scroll" tabindex="0"><table class="words">{lines}</table></div>'
         "</figure></div>"
     )

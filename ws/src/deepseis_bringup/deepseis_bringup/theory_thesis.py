@@ -82,6 +82,7 @@ class Reading:
 AS_PRINTED: Final = Reading(DAMPING, 1e-9)
 STILL: Final = Reading(DAMPING, 0.0)
 SQUARES: Final = Reading(DAMPING, 0.0, squares=True)
+ROCKED_SQUARES: Final = Reading(0.5**0.5, 1e-9, squares=True)
 TABLE_2_1: Final = Reading(0.5**0.5, 0.0)
 
 
@@ -196,7 +197,7 @@ def aided(name: str) -> Chart:
     return Chart(
         f"thesis-3-10{letter}",
         f"Thesis, figure 3.10-{letter}: aided by {NAMES[name]}",
-        "Order 2, 20 ms, 40 dB-Hz; what the INS leaves is the velocity's error at each update. "
+        "Order 2, 20 ms, 40 dB-Hz; the INS leaves the velocity's error at each update. "
         "The text: 2 Hz are enough, and from 8 Hz on the bandwidth matters little.",
         "noise bandwidth [Hz]",
         bandwidth,
@@ -207,11 +208,13 @@ def aided(name: str) -> Chart:
                 TOTAL,
             ),
             Curve(
-                "total as printed (T 3.21), without the root of T 3.22",
+                "total, oscillator on the table",
                 degrees(aided_total(thermal, vibration, allan, velocity)),
                 OTHER,
             ),
-            Curve("oscillator at rest, with the root", degrees(with_root(name, bandwidth)), OTHER),
+            Curve(
+                "at rest, root of T 3.22 as printed", degrees(with_root(name, bandwidth)), OTHER
+            ),
             Curve("thermal", degrees(thermal)),
             Curve("vibration", degrees(vibration)),
             Curve("Allan", degrees(allan)),
@@ -229,6 +232,7 @@ def comparisons() -> list[Comparison]:
         "T 3.7, damping 1, oscillator at rest": STILL,
         "T 3.7, damping 0.707, oscillator at rest": TABLE_2_1,
         "damping 1, oscillator at rest, stress under the root": SQUARES,
+        "damping 0.707, oscillator on the table, stress under the root": ROCKED_SQUARES,
     }
     for text, reading in readings.items():
         rows.append(

@@ -2,9 +2,8 @@
 
 The update has Joseph's form and leaves covariances symmetric to the bit. It knows *considered*
 parameters as well (S. F. Schmidt, 1966; P. D. Groves, "Principles of GNSS, Inertial, and
-Multisensor Integrated Navigation Systems", 2nd ed., section 3.4.5): constants that nobody
-estimates, but whose uncertainty the covariance carries, with ``U`` the cross-covariance of the
-states with them and ``B`` their own covariance.
+Multisensor Integrated Navigation Systems", 2nd ed., section 3.4.5): constants that stand at the
+end of the state, get no gain, but whose uncertainty the covariance carries.
 
 Innovations are *prediction minus measurement*, ``z = H x + v`` with ``x`` the error of the
 estimate; the error estimated, ``K z``, is taken off.
@@ -73,32 +72,19 @@ def update(P: FloatArray, H: FloatArray, R: FloatArray, z: FloatArray) -> Correc
     R, z = np.ascontiguousarray(R, np.float64), np.ascontiguousarray(z, np.float64)
     if not np.isfinite(z).all():
         raise InputError("measurement", "is not finite")
-    n = P.shape[0]
-    U, B, D = np.zeros((n, 1)), np.zeros((1, 1)), np.zeros((z.size, 1))
-    S, x = np.empty((z.size, z.size)), np.empty(n)
-    squared = innovation_kernel(P, U, B, H, D, R, z, S)
+    PHt, S = np.empty((P.shape[0], z.size)), np.empty((z.size, z.size))
+    squared = innovation_kernel(P, H, R, z, PHt, S)
     if not squared >= 0.0:
         raise InputError("measurement", "has a covariance that is not positive definite")
-    correct_kernel(P, U, B, H, D, R, z, S, x)
+    x = np.zeros(P.shape[0])
+    correct_kernel(P, H, R, z, PHt, S, P.shape[0], x)
     return Correction(x, P, S, squared)
 
 
 @njit(cache=True, nogil=True)
-def innovation_kernel(P, U, B, H, D, R, z, S):  # type: ignore[no-untyped-def]
-    """Fill the covariance ``S`` of an innovation and return its normalised square.
-
-    ``z = H x + D c + v``, ``c`` the considered parameters. Returns -1 where S is not positive
-    definite. Sizes: P (n, n), U (n, k), B (k, k), H (m, n), D (m, k), R and S (m, m), z (m,).
-    """
-    m = z.size
-    HUD = (H @ U) @ D.T
-    S[:] = (H @ P) @ H.T + HUD + HUD.T + (D @ B) @ D.T + R
-    for i in range(m):
-        for j in range(i):
-            S[i, j] = S[j, i] = 0.5 * (S[i, j] + S[j, i])
-    # Cholesky by hand: numba's raises, and m is three.
-    L, y, squared = np.zeros((m, m)), np.empty(m), 0.0
-    for i in range(m):
+def _cholesky(S: FloatArray, L: FloatArray) -> bool:
+    """Fill the lower root of S; False where S is not positive definite."""
+    for i in range(S.shape[0]):
         for j in range(i + 1):
             total = S[i, j]
             for k in range(j):
@@ -108,7 +94,35 @@ def innovation_kernel(P, U, B, H, D, R, z, S):  # type: ignore[no-untyped-def]
             elif total > 0.0 and total < np.inf:
                 L[i, i] = np.sqrt(total)
             else:
-                return -1.0
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def innovation_kernel(P, H, R, z, PHt, S):  # type: ignore[no-untyped-def]
+    """Fill ``P H^T``, (n, m), and ``S = H P H^T + R``; return the normalised square of z.
+
+    It is -1 where S is not positive definite.
+    """
+    n, m = P.shape[0], z.size
+    PHt[:] = 0.0
+    for j in range(m):
+        for k in range(n):
+            factor = H[j, k]
+            if factor != 0.0:
+                for i in range(n):
+                    PHt[i, j] += P[k, i] * factor
+    for i in range(m):
+        for j in range(i + 1):
+            total = 0.5 * (R[i, j] + R[j, i])
+            for k in range(n):
+                total += H[i, k] * PHt[k, j]
+            S[i, j] = total
+            S[j, i] = total
+    L, y, squared = np.zeros((m, m)), np.empty(m), 0.0
+    if not _cholesky(S, L):
+        return -1.0
+    for i in range(m):
         total = z[i]
         for k in range(i):
             total -= L[i, k] * y[k]
@@ -118,22 +132,62 @@ def innovation_kernel(P, U, B, H, D, R, z, S):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def correct_kernel(P, U, B, H, D, R, z, S, x):  # type: ignore[no-untyped-def]
-    """Work an innovation with covariance ``S`` into P and U, and fill the error estimated.
+def _gain(PHt, S, estimated, K):  # type: ignore[no-untyped-def]
+    """Fill ``K = P H^T S^-1`` for the first states and zero for those considered."""
+    m = S.shape[0]
+    L = np.zeros((m, m))
+    _cholesky(S, L)
+    K[:] = 0.0
+    for row in range(estimated):
+        for i in range(m):
+            total = PHt[row, i]
+            for k in range(i):
+                total -= L[i, k] * K[row, k]
+            K[row, i] = total / L[i, i]
+        for i in range(m - 1, -1, -1):
+            total = K[row, i]
+            for k in range(i + 1, m):
+                total -= L[k, i] * K[row, k]
+            K[row, i] = total / L[i, i]
 
-    Considered parameters get no gain: they stay as uncertain as they were.
+
+@njit(cache=True, nogil=True)
+def correct_kernel(P, H, R, z, PHt, S, estimated, x):  # type: ignore[no-untyped-def]
+    """Work an innovation into P and fill the error estimated.
+
+    Joseph's form for any gain, ``P <- (I - K H) P (I - K H)^T + K R K^T``, without its products
+    of full matrices: with ``X = P - K (P H^T)^T`` it is ``X - (X H^T - K R) K^T``.
+
+    Parameters
+    ----------
+    P, H, R, z
+        Of `innovation_kernel`, as are PHt and S, which it filled.
+    estimated
+        How many states get a gain; those after them are considered.
     """
-    n = P.shape[0]
-    K = np.ascontiguousarray(np.linalg.solve(S, H @ P + D @ U.T).T)
-    x[:] = K @ z
-    A = -(K @ H)
+    n, m = P.shape[0], z.size
+    K, rest = np.empty((n, m)), np.empty((n, m))
+    _gain(PHt, S, estimated, K)
     for i in range(n):
-        A[i, i] += 1.0
-    KD = K @ D
-    AU = A @ U
-    mixed = AU @ KD.T
-    P[:] = (A @ P) @ A.T - mixed - mixed.T + (KD @ B) @ KD.T + (K @ R) @ K.T
-    U[:] = AU - KD @ B
+        x[i] = 0.0
+        for k in range(m):
+            x[i] += K[i, k] * z[k]
+            factor = K[i, k]
+            if factor != 0.0:
+                for j in range(n):
+                    P[i, j] -= factor * PHt[j, k]
+    for i in range(n):
+        for k in range(m):
+            total = 0.0
+            for j in range(n):
+                total += P[i, j] * H[k, j]
+            for j in range(m):
+                total -= 0.5 * K[i, j] * (R[j, k] + R[k, j])
+            rest[i, k] = total
+    for i in range(n):
+        for k in range(m):
+            for j in range(estimated):
+                P[i, j] -= rest[i, k] * K[j, k]
     symmetrise_kernel(P)
 
 

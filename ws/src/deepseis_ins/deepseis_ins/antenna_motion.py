@@ -25,9 +25,8 @@ from math import factorial
 
 import numpy as np
 
-from deepseis_core.geodesy import ecef_from_geodetic, rotation_ned_ecef
-from deepseis_core.rotation import quat_rotate
 from deepseis_core.types import FloatArray, IntArray
+from deepseis_ins.fusion_kernels import ecef_nodes_kernel
 from deepseis_ins.strapdown import Trajectory
 
 VELOCITY_POINTS = 6
@@ -68,18 +67,13 @@ class Nodes:
         origin: FloatArray,
     ) -> Nodes:
         """Turn a trajectory into ECEF; ``lever_arm_b`` forward-right-down [m]."""
-        geodetic = trajectory.geodetic
-        # A station does not leave the place whose axes these are by more than some metres; a
-        # vehicle between two epochs of a span turns them by 1e-7 rad at most.
-        C_en = np.swapaxes(rotation_ned_ecef(geodetic[:, 0], geodetic[:, 1]), -1, -2)
-        lever = quat_rotate(trajectory.quat_nb, lever_arm_b)
-        return cls(
-            sample_index,
-            origin,
-            ecef_from_geodetic(geodetic) - origin,
-            np.einsum("kij,kj->ki", C_en, trajectory.vel_n),
-            np.einsum("kij,kj->ki", C_en, lever),
-        )
+        n = len(sample_index)
+        position, velocity, lever = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
+        ecef_nodes_kernel(
+            trajectory.geodetic, trajectory.vel_n, trajectory.quat_nb, lever_arm_b, origin,
+            position, velocity, lever,
+        )  # fmt: skip
+        return cls(sample_index, origin, position, velocity, lever)
 
 
 @dataclass

@@ -14,13 +14,13 @@ all steps again, as if it had been known at once.
 
 from __future__ import annotations
 
-from bisect import insort
+from bisect import bisect_left, insort
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
 from deepseis_core.geodesy import ecef_from_geodetic, rotation_ned_ecef
-from deepseis_core.imu_grades import ImuGrade
 from deepseis_core.rotation import quat_rotate
 from deepseis_core.types import FloatArray, MotionKind, Pvt, PvtStatus
 from deepseis_ins import measurements
@@ -32,6 +32,9 @@ from deepseis_ins.loose import Innovation, LooseFilter
 from deepseis_ins.loose import Snapshot as FilterSnapshot
 from deepseis_ins.motion_timeline import MotionTimeline
 from deepseis_ins.strapdown import NavState, propagate
+
+FIRST_INTERVAL_S: Final = 0.1
+"""Before the first epoch of GNSS, as if there were one before [s]."""
 
 
 @dataclass(frozen=True)
@@ -111,13 +114,11 @@ class DelayedFilter:
         self.rest: Rest | None = None
         self.position, self.velocity = position_error(config), velocity_error(config)
         self.counts = dict.fromkeys(
-            ("updates", "rejected", "recovered", "constraints", "undone", "undo_too_old"), 0
+            ("updates", "rejected", "recovered", "constraints", "undone", "too_old"), 0
         )
         self._interval = sample_rate_hz / config.filter_rate_hz
         self._kept = round(config.undo_s * sample_rate_hz)
         self._pvts: list[Pvt] = []
-        self._last_pvt = -1
-        self._pvt_interval = 0.1
         start = history.sample_index(row)
         self._steps = [self._snapshot(start, 1)]
 
@@ -132,6 +133,11 @@ class DelayedFilter:
     def done(self) -> tuple[int, int]:
         """Sample and kind of the last step."""
         return self._steps[-1].sample_index, self._steps[-1].kind
+
+    @property
+    def oldest_row(self) -> int:
+        """Row to which it can still go back."""
+        return self._steps[0].row
 
     def covariance(self) -> FloatArray:
         """Return the covariance of the 15 errors, that of a place held at rest included."""
@@ -151,7 +157,12 @@ class DelayedFilter:
 
     def push(self, pvt: Pvt) -> None:
         """Take an epoch of GNSS that counts from now on."""
-        if pvt.status == PvtStatus.NONE or not np.isfinite(pvt.position_ecef).all():
+        values = pvt.position_ecef, pvt.position_covariance_ecef
+        if pvt.status == PvtStatus.NONE or not all(np.isfinite(item).all() for item in values):
+            return
+        first = self._steps[0]
+        if (pvt.sample_index, 1) <= (first.sample_index, first.kind):
+            self.counts["too_old"] += 1
             return
         insort(self._pvts, pvt, key=lambda item: item.sample_index)
         if (pvt.sample_index, 1) <= self.done:
@@ -163,7 +174,7 @@ class DelayedFilter:
             return
         self.counts["undone"] += 1
         if self._steps[0].sample_index >= sample_index and len(self._steps) > 1:
-            self.counts["undo_too_old"] += 1
+            self.counts["too_old"] += 1
         while len(self._steps) > 1 and self._steps[-1].sample_index >= sample_index:
             del self._steps[-1]
         step = self._steps[-1]
@@ -244,9 +255,7 @@ class DelayedFilter:
         self._update(measurements.zero_velocity(nav, config.still_velocity_sd))
         self._update(measurements.zero_angle(self.filter.nav, rest.C_nb, angle_sd))
         self._update(
-            measurements.gnss_position(
-                self.filter.nav, rest.antenna_ecef, place, self.lever_arm_b
-            )
+            measurements.gnss_position(self.filter.nav, rest.antenna_ecef, place, self.lever_arm_b)
         )
         self.counts["constraints"] += 1
 
@@ -296,10 +305,11 @@ class DelayedFilter:
 
     def _epoch(self, pvt: Pvt) -> tuple[float, float]:
         """Return an epoch's time and the time since the one before [s]."""
-        earlier = [item.sample_index for item in self._pvts if item.sample_index < pvt.sample_index]
-        if earlier:
-            self._pvt_interval = (pvt.sample_index - earlier[-1]) / self.sample_rate_hz
-        return pvt.sample_index / self.sample_rate_hz, self._pvt_interval
+        before = bisect_left(self._pvts, pvt.sample_index, key=lambda item: item.sample_index)
+        seconds, interval = pvt.sample_index / self.sample_rate_hz, FIRST_INTERVAL_S
+        if before:
+            interval = seconds - self._pvts[before - 1].sample_index / self.sample_rate_hz
+        return seconds, interval
 
     def _beyond(self, sample_index: int) -> tuple[FloatArray, FloatArray]:
         """Return by what position and velocity change from the filter's row to a sample, ECEF."""

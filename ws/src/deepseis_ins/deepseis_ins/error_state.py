@@ -21,7 +21,10 @@ Scale factors and misalignments are constants ``M`` that act with the motion: ``
 ``M omega`` in body axes. They are no states, and white noise cannot stand for them: what 300 ppm
 do to a shake of 2 g at 1 Hz is a velocity error of 1 mm/s that swings back, while noise
 accumulates. They are *considered* (`deepseis_core.kalman`): the covariance is exact for any
-motion, and no gain is spent on them. So is the error of the attitude that `zero_angle` refers to.
+motion, and no gain is spent on them.
+
+With the error of the attitude that `zero_angle` refers to, which is estimated, they are the 21
+constants behind the states.
 """
 
 from __future__ import annotations
@@ -44,12 +47,12 @@ GYRO: Final = slice(9, 12)
 ACCEL: Final = slice(12, 15)
 STATES: Final = kernels.STATES
 
-ACCEL_MATRIX: Final = slice(0, 9)
-"""Considered: ``M`` of the accelerometers, row by row."""
-GYRO_MATRIX: Final = slice(9, 18)
-REFERENCE: Final = slice(18, 21)
-"""Considered: error of the reference attitude, in the sense of phi [rad]."""
-CONSIDERED: Final = kernels.CONSIDERED
+REFERENCE: Final = slice(0, 3)
+"""Of the constants: error of the reference attitude, in the sense of phi [rad]."""
+ACCEL_MATRIX: Final = slice(3, 12)
+"""``M`` of the accelerometers, row by row."""
+GYRO_MATRIX: Final = slice(12, 21)
+CONSTANTS: Final = kernels.CONSTANTS
 
 
 @dataclass(frozen=True)
@@ -87,9 +90,9 @@ def noise_model(grade: ImuGrade) -> FloatArray:
     return model
 
 
-def considered_covariance(grade: ImuGrade) -> FloatArray:
-    """Return the covariance, shape (21, 21), of what is considered; the reference is exact."""
-    variance = np.zeros(CONSIDERED)
+def constants_covariance(grade: ImuGrade) -> FloatArray:
+    """Return the covariance, shape (21, 21), of the constants; the reference is exact."""
+    variance = np.zeros(CONSTANTS)
     for part, triad in ((ACCEL_MATRIX, grade.accelerometers), (GYRO_MATRIX, grade.gyros)):
         matrix = np.full((3, 3), triad.misalignment**2)
         np.fill_diagonal(matrix, triad.scale**2)

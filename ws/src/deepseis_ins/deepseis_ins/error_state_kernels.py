@@ -1,6 +1,6 @@
 """Growth of the errors of inertial navigation, one step at a time (numba).
 
-Layout of states and considered parameters: `deepseis_ins.error_state`.
+Layout of states and constants: `deepseis_ins.error_state`.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from deepseis_ins.strapdown_kernels import ATTITUDE, POSITION, VELOCITY, earth_k
 
 STATES = 15
 MOVING = 9  # position, velocity, attitude: the states that others drive
-MATRICES = 18  # considered: of accelerometers, gyroscopes
-CONSIDERED = 21
+REFERENCE = 3  # of the constants; behind it the matrices of accelerometers and gyroscopes
+CONSTANTS = 21
 
 GYRO_WALK2 = 0  # [rad^2/s]
 ACCEL_WALK2 = 1  # [m^2/s^3]
@@ -142,11 +142,11 @@ def _transition(F: FloatArray, t: float, Phi: FloatArray) -> None:
 
 @njit(cache=True, nogil=True)
 def _drive(C, force_b, omega_b, force_n, t, G):  # type: ignore[no-untyped-def]
-    """Fill what scale factors and misalignments make of nine states in a step, (9, 18)."""
+    """Fill what scale factors and misalignments make of nine states in a step, (9, 21)."""
     half = 0.5 * t * t
     for i in range(3):
         for j in range(3):
-            column = 3 * i + j
+            column = REFERENCE + 3 * i + j
             for k in range(3):
                 G[k, column] = half * C[k, i] * force_b[j]
                 G[3 + k, column] = t * C[k, i] * force_b[j]
@@ -203,22 +203,25 @@ def _times_transposed(A, Phi, decay, P):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _consider(P, U1, B, G, U):  # type: ignore[no-untyped-def]
-    """Add what is considered to P; ``U = U1 + G B``, ``P += U1 G^T + G U^T``."""
+    """Add what the constants do: ``U = U1 + G B``, ``P += U1 G^T + G U^T``.
+
+    The elements of the matrices are independent of each other.
+    """
     for i in range(STATES):
-        for j in range(CONSIDERED):
+        for j in range(CONSTANTS):
             U[i, j] = U1[i, j]
     for i in range(MOVING):
-        for k in range(MATRICES):
+        for k in range(REFERENCE, CONSTANTS):
             U[i, k] += G[i, k] * B[k, k]
-            for j in range(MATRICES, CONSIDERED):
+            for j in range(REFERENCE):
                 U[i, j] += G[i, k] * B[k, j]
     for i in range(STATES):
         for j in range(min(i + 1, MOVING)):
             total = 0.0
-            for k in range(MATRICES):
+            for k in range(REFERENCE, CONSTANTS):
                 total += U1[i, k] * G[j, k]
             if i < MOVING:
-                for k in range(MATRICES):
+                for k in range(REFERENCE, CONSTANTS):
                     total += G[i, k] * U[j, k]
             P[i, j] += total
             if i != j:
@@ -260,10 +263,10 @@ def covariance_kernel(P, U, B, model, x, v0, q0, angle_b, gain_b, t):  # type: i
     _transition(F, t, Phi)
     decay[:3] = math.exp(-t * model[GYRO_RATE])
     decay[3:] = math.exp(-t * model[ACCEL_RATE])
-    G = np.zeros((MOVING, MATRICES))
+    G = np.zeros((MOVING, CONSTANTS))
     _drive(C, force_b, omega_b, force_n, t, G)
 
-    A, U1 = np.empty((STATES, STATES)), np.empty((STATES, CONSIDERED))
+    A, U1 = np.empty((STATES, STATES)), np.empty((STATES, CONSTANTS))
     _add_noise(P, model, t)
     _apply(Phi, decay, P, A)
     _times_transposed(A, Phi, decay, P)

@@ -18,6 +18,7 @@ from deepseis_core.errors import InputError
 class FusionConfig:
     """Settings of `fusion_engine.FusionEngine`."""
 
+    start_s: float = setting(0.0, "where in the recording the source starts [s]", low=0)
     feedback_delay_ms: int = setting(
         100, "D: what is measured at t acts at t + D [ms]", low=60, high=2_000
     )
@@ -29,9 +30,7 @@ class FusionConfig:
     alignment_s: float = setting(
         3.0, "IMU data at rest that the start needs [s]", low=0.2, high=600.0
     )
-    heading_sd_deg: float = setting(
-        0.1, "of the surveyed orientation [deg]", low=1e-4, high=180.0
-    )
+    heading_sd_deg: float = setting(0.1, "of the surveyed orientation [deg]", low=1e-4, high=180.0)
     level_sd_deg: float = setting(0.05, "of the surveyed orientation [deg]", low=1e-4, high=90.0)
     monument_sd: float = setting(0.02, "of the surveyed position [m]", low=1e-4, high=100.0)
 
@@ -47,18 +46,14 @@ class FusionConfig:
     position_noise_share: float = setting(
         0.2, "position's noise as a part of its formal sigma [-]", low=0.0, high=10.0
     )
-    position_correlation_s: float = setting(
-        0.3, "correlation time of it [s]", low=0.0, high=1e3
-    )
+    position_correlation_s: float = setting(0.3, "correlation time of it [s]", low=0.0, high=1e3)
     position_growth: float = setting(
         0.02, "random walk of the position's slow error [m/sqrt(s)]", low=0.0, high=10.0
     )
     velocity_noise_share: float = setting(
         0.5, "velocity's noise as a part of its formal sigma [-]", low=0.0, high=10.0
     )
-    velocity_correlation_s: float = setting(
-        0.0, "correlation time of it [s]", low=0.0, high=1e3
-    )
+    velocity_correlation_s: float = setting(0.0, "correlation time of it [s]", low=0.0, high=1e3)
     velocity_growth: float = setting(
         1e-4, "random walk of the velocity's slow error [m/s/sqrt(s)]", low=0.0, high=1.0
     )

@@ -14,6 +14,8 @@ after all puts everything where it would have been.
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_right, insort
 from enum import IntFlag
 
 import numpy as np
@@ -29,6 +31,10 @@ _AT_RANGE = 0.999
 """Of the range: a rate so large is taken as clipped."""
 _ROWS = 4096
 """Room for rows, at least."""
+
+
+def _sample_index(sample: ImuSample) -> int:
+    return sample.sample_index
 
 
 class RowFlag(IntFlag):
@@ -65,7 +71,9 @@ class ImuHistory:
         self.step = sample_rate_hz / imu_rate_hz
         self._short = round(config.extrapolate_s * imu_rate_hz)
         self._mean_rows = max(1, round(config.missing_mean_s * imu_rate_hz))
-        self._limits = _AT_RANGE * np.array([grade.gyros.range, grade.accelerometers.range])
+        self._to_increments = np.hstack([flu_from_frd(np.full(3, self.dt))] * 2)
+        ranges = np.repeat([grade.gyros.range, grade.accelerometers.range], 3)
+        self._limits = _AT_RANGE * self.dt * ranges
         self._pending: list[ImuSample] = []
         self._index: IntArray = np.zeros(_ROWS, np.int64)
         self._delta: FloatArray = np.zeros((_ROWS, 6))
@@ -76,7 +84,7 @@ class ImuHistory:
 
     def push(self, sample: ImuSample) -> None:
         """Take a sample, in any order."""
-        self._pending.append(sample)
+        insort(self._pending, sample, key=_sample_index)
 
     def take(self, through: int) -> int | None:
         """Put samples up to sample index ``through`` in their rows.
@@ -86,11 +94,9 @@ class ImuHistory:
         int or None
             Number of the first row that is no longer what it was.
         """
-        due = [item for item in self._pending if item.sample_index <= through]
-        if not due:
-            return None
-        self._pending = [item for item in self._pending if item.sample_index > through]
-        due.sort(key=lambda item: item.sample_index)
+        count = bisect_right(self._pending, through, key=_sample_index)
+        due = self._pending[:count]
+        del self._pending[:count]
         changed = [self._place(item) for item in due]
         return min((number for number in changed if number is not None), default=None)
 
@@ -116,13 +122,25 @@ class ImuHistory:
 
     def increments(self, begin: int, end: int) -> tuple[FloatArray, FloatArray]:
         """Return angles [rad] and velocities [m/s] of rows, forward-right-down, (m, 3) each."""
-        rows = self._delta[begin - self.first : end - self.first]
+        rows = self.rows(begin, end)
         return rows[:, :3], rows[:, 3:]
+
+    def rows(self, begin: int, end: int) -> FloatArray:
+        """Return the same in one array, shape (m, 6)."""
+        return self._delta[begin - self.first : end - self.first]
 
     def count(self, begin: int, end: int, flag: RowFlag) -> int:
         """Return how many rows have a flag."""
         rows = self._flags[max(begin - self.first, 0) : max(end - self.first, 0)]
-        return int(np.count_nonzero(rows & flag))
+        return int(np.count_nonzero(rows & int(flag)))
+
+    def missing_at_end(self) -> int:
+        """Return how many rows after the last sample are made up."""
+        return max(self.end - 1 - self._anchor, 0)
+
+    def restart(self) -> None:
+        """Forget all rows; the next sample is the first again."""
+        self.first, self.end, self._anchor = 0, 0, -1
 
     def forget(self, before: int) -> None:
         """Drop rows before a number that nobody will ask for again."""
@@ -138,10 +156,10 @@ class ImuHistory:
 
     def _place(self, sample: ImuSample) -> int | None:
         """Put a sample in its row; return the row if it was there already, made up."""
-        delta = np.concatenate(
-            [flu_from_frd(sample.angular_velocity), flu_from_frd(sample.linear_acceleration)]
-        )
-        if not np.isfinite(delta).all():
+        delta = np.empty(6)
+        delta[:3], delta[3:] = sample.angular_velocity, sample.linear_acceleration
+        delta *= self._to_increments
+        if not math.isfinite(delta.sum()):
             self.counts["dropped"] += 1
             return None
         if self._anchor < 0:
@@ -152,7 +170,7 @@ class ImuHistory:
         if ahead <= 0:
             return self._place_late(number, sample, delta)
         known = self.end
-        self._bridge(ahead - 1, delta * self.dt)
+        self._bridge(ahead - 1, delta)
         self._write(number, sample.sample_index, delta)
         return self._first_changed(known, number)
 
@@ -176,11 +194,11 @@ class ImuHistory:
         self._anchor = anchor
         return number
 
-    def _write(self, number: int, sample_index: int, rates: FloatArray) -> None:
-        clipped = np.abs(rates).reshape(2, 3).max(axis=1) >= self._limits
+    def _write(self, number: int, sample_index: int, delta: FloatArray) -> None:
+        clipped = bool((np.abs(delta) >= self._limits).any())
         self.counts["samples"] += 1
-        self.counts["clipped"] += bool(clipped.any())
-        self._set(number, sample_index, rates * self.dt, RowFlag.CLIPPED * bool(clipped.any()))
+        self.counts["clipped"] += clipped
+        self._set(number, sample_index, delta, int(RowFlag.CLIPPED) if clipped else 0)
         self._anchor = number
 
     def _set(self, number: int, sample_index: int, delta: FloatArray, flags: int) -> None:
@@ -194,7 +212,7 @@ class ImuHistory:
         self.end = max(self.end, number + 1)
 
     def _bridge(self, count: int, following: FloatArray | None) -> None:
-        """Make up ``count`` rows after the last sample, and before ``following`` if it is there."""
+        """Make up ``count`` rows after the last sample, and before ``following`` if there is."""
         if count <= 0:
             return
         start = self.sample_index(self._anchor)

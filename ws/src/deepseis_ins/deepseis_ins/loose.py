@@ -2,8 +2,8 @@
 
 States and their noise: `deepseis_ins.error_state`; measurements: `deepseis_ins.measurements`.
 Errors estimated are taken off the navigation state at once, so that the filter's own state is
-zero between updates (thesis section 2.2.4, figure 2.9). Scale factors and misalignments of the
-IMU are considered, not estimated: they widen the covariance as the motion demands.
+zero between updates (thesis section 2.2.4). Scale factors and misalignments of the IMU are
+considered, not estimated: they widen the covariance as the motion demands.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from deepseis_ins import loose_kernels as kernels
 from deepseis_ins.error_state import (
     ACCEL,
     ATT,
-    CONSIDERED,
+    CONSTANTS,
     GYRO,
     POS,
     REFERENCE,
     STATES,
     VEL,
     bias_model,
-    considered_covariance,
+    constants_covariance,
     noise_model,
 )
 from deepseis_ins.measurements import Measurement
@@ -41,6 +41,9 @@ from deepseis_ins.strapdown import NavState, Trajectory
 from deepseis_ins.strapdown_kernels import ATTITUDE, DELTA_THETA, DELTA_VEL, INTERVAL
 
 _NOTHING = (0.0, 0.0, 0.0)
+_NO_MATRICES = np.zeros((3, CONSTANTS - 3))
+_ESTIMATED = STATES + 3
+"""The states and the error of the reference attitude; behind them come what is considered."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +96,7 @@ class Snapshot:
     P: FloatArray
     U: FloatArray
     B: FloatArray
+    reference_error: FloatArray
     rejected: Mapping[str, int]
 
 
@@ -130,7 +134,7 @@ class LooseFilter:
     ... )
     >>> _ = filter.propagate(np.zeros((200, 3)), np.tile([0.0, 0.0, -0.0489], (200, 1)), 0.005)
     >>> [round(float(sd), 3) for sd in filter.sd[3:6]]
-    [0.018, 0.018, 0.015]
+    [0.017, 0.017, 0.014]
     """
 
     def __init__(
@@ -156,8 +160,8 @@ class LooseFilter:
         self.config, self.grade = config, grade
         self._x = pack(nav)
         self._bias = np.hstack([vector("gyro bias", gyro_bias), vector("accel bias", accel_bias)])
-        self._model, self._B = noise_model(grade), considered_covariance(grade)
-        self._P, self._U = np.zeros((STATES, STATES)), np.zeros((STATES, CONSIDERED))
+        self._model, self._B = noise_model(grade), constants_covariance(grade)
+        self._P, self._U = np.zeros((STATES, STATES)), np.zeros((STATES, CONSTANTS))
         if gyro_bias_sd is None:
             gyro_bias_sd = bias_model(grade.gyros).sd
         if accel_bias_sd is None:
@@ -175,7 +179,7 @@ class LooseFilter:
             else np.inf
         )
         self._rejected: dict[str, int] = {}
-        self._reference = matrix_from_quat(self._x[ATTITUDE:DELTA_THETA])
+        self._reference_error = np.zeros(3)
         self.refer_attitude()
 
     # What is known
@@ -248,24 +252,31 @@ class LooseFilter:
             The measurement is not finite or its covariance not positive definite.
         """
         m = measurement
-        if not np.isfinite(m.z).all():
+        z = m.z - m.D @ self._reference_error
+        if not np.isfinite(z).all():
             raise InputError(f"measurement {m.name}", "is not finite")
         self._complete()
-        squared, S = self._innovation(m)
-        sd = np.sqrt(np.diag(S))
-        accepted = squared <= self._limit
+        P, H = self._joined(), np.hstack([m.H, m.D, _NO_MATRICES])
+        PHt, S = np.empty((len(P), 3)), np.empty((3, 3))
+        squared = innovation_kernel(P, H, m.R, z, PHt, S)
+        if not squared >= 0.0:
+            raise InputError(f"measurement {m.name}", "has a covariance that is no covariance")
+        accepted, sd = bool(squared <= self._limit), np.sqrt(np.diag(S))
         rejected = 0 if accepted else self._rejected.get(m.name, 0) + 1
         recovered = rejected >= self.config.rejections_before_recovery
         self._rejected[m.name] = 0 if recovered else rejected
         if recovered:
             diagonal = np.arange(STATES)[m.states]
-            self._P[diagonal, diagonal] += m.z**2
-            S = self._innovation(m)[1]
+            P[diagonal, diagonal] += z**2
+            innovation_kernel(P, H, m.R, z, PHt, S)
         if accepted or recovered:
-            self._correct(m, S)
-        return Innovation(
-            m.name, m.z.copy(), sd, squared, bool(accepted or recovered), bool(recovered)
-        )
+            x = np.empty(len(P))
+            correct_kernel(P, H, m.R, z, PHt, S, _ESTIMATED, x)
+            self._part(P)
+            self._reference_error += x[STATES:_ESTIMATED]
+            kernels.feed_back_kernel(self._x, self._bias, x)
+            kernels.begin_kernel(self._x, self._pending)
+        return Innovation(m.name, z, sd, squared, accepted or recovered, recovered)
 
     def widen(
         self,
@@ -307,18 +318,19 @@ class LooseFilter:
             Of such a survey, north, east, down [rad].
         """
         self._complete()
+        self._reference_error = np.zeros(3)
         self._U[:, REFERENCE] = 0.0
         self._B[REFERENCE, :], self._B[:, REFERENCE] = 0.0, 0.0
         if C_nb_reference is None:
-            self._reference = matrix_from_quat(self._x[ATTITUDE:DELTA_THETA])
+            reference = matrix_from_quat(self._x[ATTITUDE:DELTA_THETA])
             self._U[:, REFERENCE] = self._P[:, ATT]
             self._B[REFERENCE, :] = self._U[ATT, :]
             self._B[:, REFERENCE] = self._U[ATT, :].T
             self._B[REFERENCE, REFERENCE] = self._P[ATT, ATT]
         else:
-            self._reference = np.array(C_nb_reference, np.float64)
+            reference = np.array(C_nb_reference, np.float64)
             self._B[REFERENCE, REFERENCE] = covariance("reference attitude", sd)
-        return self._reference.copy()
+        return reference
 
     # Undo
 
@@ -326,7 +338,8 @@ class LooseFilter:
         """Return all that the filter is now."""
         return Snapshot(
             self._x.copy(), self._bias.copy(), self._pending.copy(), self._P.copy(),
-            self._U.copy(), self._B.copy(), MappingProxyType(dict(self._rejected)),
+            self._U.copy(), self._B.copy(), self._reference_error.copy(),
+            MappingProxyType(dict(self._rejected)),
         )  # fmt: skip
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -334,7 +347,7 @@ class LooseFilter:
         s = snapshot
         self._x, self._bias, self._pending = s.x.copy(), s.bias.copy(), s.pending.copy()
         self._P, self._U, self._B = s.P.copy(), s.U.copy(), s.B.copy()
-        self._rejected = dict(s.rejected)
+        self._reference_error, self._rejected = s.reference_error.copy(), dict(s.rejected)
 
     def _complete(self) -> None:
         """Carry the covariance to now."""
@@ -342,16 +355,13 @@ class LooseFilter:
             self._x, self._bias, self._pending, self._P, self._U, self._B, self._model
         )
 
-    def _innovation(self, m: Measurement) -> tuple[float, FloatArray]:
-        """Return an innovation's normalised square and covariance."""
-        S = np.empty((3, 3))
-        squared = innovation_kernel(self._P, self._U, self._B, m.H, m.D, m.R, m.z, S)
-        if not squared >= 0.0:
-            raise InputError(f"measurement {m.name}", "has a covariance that is no covariance")
-        return squared, S
+    def _joined(self) -> FloatArray:
+        """Return the covariance of states and constants together, shape (36, 36)."""
+        P = np.empty((STATES + CONSTANTS, STATES + CONSTANTS))
+        P[:STATES, :STATES], P[:STATES, STATES:] = self._P, self._U
+        P[STATES:, :STATES], P[STATES:, STATES:] = self._U.T, self._B
+        return P
 
-    def _correct(self, m: Measurement, S: FloatArray) -> None:
-        x = np.empty(STATES)
-        correct_kernel(self._P, self._U, self._B, m.H, m.D, m.R, m.z, S, x)
-        kernels.feed_back_kernel(self._x, self._bias, x)
-        kernels.begin_kernel(self._x, self._pending)
+    def _part(self, P: FloatArray) -> None:
+        self._P, self._U = P[:STATES, :STATES].copy(), P[:STATES, STATES:].copy()
+        self._B = P[STATES:, STATES:].copy()

@@ -1,8 +1,8 @@
 """What a measurement says about the errors of inertial navigation.
 
-Each is ``z = H x + D c + v``: prediction minus measurement, its sensitivity to the 15 states and
-to what is considered (`deepseis_ins.error_state`), and the covariance R of v. Thesis 2.26 and
-2.27 have the antenna at the IMU; here it stands at a lever arm.
+Each is ``z = H x + D e + v``: prediction minus measurement, its sensitivity to the 15 states
+(`deepseis_ins.error_state`) and to the error of a reference attitude, and the covariance R of v.
+Thesis 2.26 and 2.27 have the antenna at the IMU; here it stands at a lever arm.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from deepseis_core.errors import InputError
 from deepseis_core.rotation import rotvec_from_matrix
 from deepseis_core.types import FloatArray
 from deepseis_ins import measurement_kernels as kernels
-from deepseis_ins.error_state import ATT, CONSIDERED, POS, REFERENCE, STATES, VEL
+from deepseis_ins.error_state import ATT, POS, STATES, VEL
 from deepseis_ins.measurement_kernels import matrix_of
 from deepseis_ins.strapdown import NavState
 
 
-def _nothing_considered() -> FloatArray:
-    return np.zeros((3, CONSIDERED))
+def _no_reference() -> FloatArray:
+    return np.zeros((3, 3))
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class Measurement:
         Its kind: innovations are gated and counted by it.
     states : slice
         The states it measures; they are widened when the gate has to be opened.
-    D : ndarray, shape (3, 21)
-        Sensitivity to what is considered.
+    D : ndarray, shape (3, 3)
+        Sensitivity to the error of the reference attitude.
     """
 
     z: FloatArray
@@ -50,7 +50,7 @@ class Measurement:
     R: FloatArray
     name: str
     states: slice
-    D: FloatArray = field(default_factory=_nothing_considered)
+    D: FloatArray = field(default_factory=_no_reference)
 
 
 def gnss_position(
@@ -136,7 +136,7 @@ def zero_angle(nav: NavState, C_nb_reference: ArrayLike, sd: ArrayLike) -> Measu
     """Say that the body stands as it is known to stand (thesis 3.27 to 3.37, corrected).
 
     With ``C_hat C_ref^T = exp(-[zeta x])`` measured is ``zeta = phi - e + w``, e being the error
-    of the reference itself. It is the same at every update: the filter considers it
+    of the reference itself. It is the same at every update: the filter knows it as one constant
     (`LooseFilter.refer_attitude`), and no repetition averages it away.
 
     Parameters
@@ -150,10 +150,10 @@ def zero_angle(nav: NavState, C_nb_reference: ArrayLike, sd: ArrayLike) -> Measu
     C_ref = np.asarray(C_nb_reference, np.float64)
     if C_ref.shape != (3, 3) or not np.allclose(C_ref @ C_ref.T, np.eye(3), atol=1e-6):
         raise InputError("reference attitude", "is not a rotation matrix", "C_nb, 3 by 3")
-    H, D = np.zeros((3, STATES)), np.zeros((3, CONSIDERED))
-    H[:, ATT], D[:, REFERENCE] = np.eye(3), -np.eye(3)
+    H = np.zeros((3, STATES))
+    H[:, ATT] = np.eye(3)
     zeta = -rotvec_from_matrix(matrix_of(nav.quat_nb) @ C_ref.T)
-    return Measurement(zeta, H, _variance(sd), "zero_angle", ATT, D)
+    return Measurement(zeta, H, _variance(sd), "zero_angle", ATT, -np.eye(3))
 
 
 def _checked(

@@ -2,9 +2,9 @@
 
 A still station's innovations are normal, so that the probability of each comparison is known:
 a mean over n samples, squared and over its variance, exceeds its limit with that of chi-square
-of one degree of freedom, a triad's of three, the energy of n samples of n. All comparisons have
-the same probability, the expected number of false switches divided by the number of comparisons:
-the sum over all of them bounds the probability that any fires, however they depend on each other.
+of one degree of freedom, a triad's of three, the energy of n samples of n, a triad's of 3 n. All
+comparisons have the same probability, the expected number of false switches divided by the number
+of comparisons: their sum bounds the probability that any fires, however they depend on each other.
 
 With coloured noise the mean has ``min(n, colour)`` times the variance, and the energy
 ``n / colour`` degrees of freedom (F. E. Satterthwaite, Biometrics Bulletin 2, 1946).
@@ -33,8 +33,8 @@ ENERGY_TIMES: Final = (0.05, 0.1, 0.2, 0.5, 1.0)
 """Windows of energy [s]."""
 
 CLIP: Final = 0.8
-"""Of the limit of one sample. One alone never passes; two of them, 1.13, do, and so do two that
-a whole triad shares (1.28 of the squares, below the limit of three axes by nothing at 1e-11)."""
+"""Of the limit of one sample. One alone never passes; two of one sign, 1.13, do, and so do two
+that a triad shares: their square, 1.28 that of an axis' limit, is above that of a triad."""
 FALSE_RESTARTS: Final = 0.01
 """Share of quiet spells that the sensitive limits break."""
 LOOK_BACK: Final = 1e-4
@@ -50,8 +50,10 @@ class Limits:
     lengths, strides : ndarray of int64, shape (s,)
         Samples in a window, and between its comparisons.
     energy_lengths, energy_strides : ndarray of int64, shape (e,)
-    mean, triad, energy : ndarray, shape (3, s, 6), (3, s, 2), (3, e, 6)
-        Of squared sums, of a triad's, of sums of squares; sensitive, strict, and looking back.
+    mean, triad : ndarray, shape (3, s, 6), (3, s, 2)
+        Of squared sums: sensitive, strict, and looking back.
+    energy, triad_energy : ndarray, shape (3, e, 6), (3, e, 2)
+        Of sums of squares.
     clip : ndarray, shape (2,)
         Largest innovation, sensitive and strict.
     probability : ndarray, shape (3,)
@@ -65,6 +67,7 @@ class Limits:
     mean: FloatArray
     triad: FloatArray
     energy: FloatArray
+    triad_energy: FloatArray
     clip: FloatArray
     probability: FloatArray
 
@@ -96,7 +99,7 @@ def make_limits(
     energy_lengths = np.unique(np.maximum(np.round(np.multiply(ENERGY_TIMES, rate_hz)), 4))
     energy_lengths = energy_lengths.astype(np.int64)
     strides, energy_strides = _strides(lengths), _strides(energy_lengths)
-    per_sample = 8.0 * np.sum(1.0 / strides) + 6.0 * np.sum(1.0 / energy_strides)
+    per_sample = 8.0 * np.sum(1.0 / strides) + 8.0 * np.sum(1.0 / energy_strides)
     probability = np.array(
         [
             FALSE_RESTARTS / (per_sample * rate_hz * quiet),
@@ -106,7 +109,8 @@ def make_limits(
     )
     wider = np.minimum(lengths[:, None], noise.colour) * lengths[:, None]
     triad = np.maximum.reduceat(wider, [0, 3], axis=1)
-    freedom = energy_lengths[:, None] / noise.colour
+    colour = np.maximum.reduceat(noise.colour, [0, 3])
+    freedom, triad_freedom = (energy_lengths[:, None] / each for each in (noise.colour, colour))
     p = probability[:, None, None]
     return Limits(
         lengths,
@@ -116,6 +120,7 @@ def make_limits(
         mean=chi2.isf(p, 1) * wider,
         triad=chi2.isf(p, 3) * triad,
         energy=chi2.isf(p, freedom) * noise.colour,
+        triad_energy=chi2.isf(p, 3.0 * triad_freedom) * colour,
         clip=CLIP * np.sqrt(chi2.isf(probability[:2], 1)),
         probability=probability,
     )

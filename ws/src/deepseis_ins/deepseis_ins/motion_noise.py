@@ -36,6 +36,8 @@ SHORT_MEANS: Final = (0.02, 0.1, 0.25)
 PERSISTENT: Final = 0.4
 """Share of the variance that may outlast the longest of them: noise of sensors does not; what
 shakes slower than 1.5 times a second does."""
+CHI_SQUARE_MEDIAN: Final = 0.4549
+"""Of one degree of freedom: variance from the median of squares."""
 OUTLIER: Final = 7.0
 """Standard deviations by which a window of a still may differ from the others."""
 ABOVE_GRADE: Final = 4.0
@@ -86,9 +88,10 @@ def noise_of_thresholds(thresholds: ArrayLike, drift: FloatArray) -> AxisNoise:
 
 
 def thresholds_of_noise(noise: AxisNoise, window: int) -> FloatArray:
-    """Return thesis thresholds of normal noise: variances of n samples have the RMS
-    ``sigma^2 sqrt(1 + 2 / (n - 1))``, shape (6,).
-    """  # noqa: D205, D400
+    """Return thesis thresholds of windows of n samples of normal noise, shape (6,).
+
+    Their variances have the RMS ``sigma^2 sqrt(1 + 2 / (n - 1))``.
+    """
     spread = np.sqrt(1.0 + 2.0 * noise.colour / max(window - 1, 1))
     return np.asarray(FACTOR * noise.sigma**2 * spread)
 
@@ -170,13 +173,13 @@ def _colour(x: FloatArray, sigma: float, rate_hz: float) -> tuple[float, str]:
     for seconds in SHORT_MEANS:
         n = max(2, round(seconds * rate_hz))
         means = x[: x.size // n * n].reshape(-1, n).mean(axis=1)
-        # Differences of neighbours: a slow drift is no colour.
-        variance = 0.5 * float(np.mean(np.diff(means) ** 2))
+        # Differences of neighbours, and their median: neither drift nor one jolt is colour.
+        variance = 0.5 * float(np.median(np.diff(means) ** 2)) / CHI_SQUARE_MEDIAN
         largest = max(largest, variance * n / sigma**2)
     if variance > PERSISTENT * sigma**2:
         return largest, f"{variance / sigma**2:.0%} of its variance lasts for 0.25 s: motion"
     # The estimate itself is uncertain by this much; white noise must not pass for coloured.
-    slack = 1.0 + 3.0 * np.sqrt(2.0 * n / x.size)
+    slack = 1.0 + 6.0 * np.sqrt(2.0 * n / x.size)
     return (largest if largest > slack else 1.0), ""
 
 

@@ -16,9 +16,6 @@ from deepseis_ins.motion_noise import AXES, SMALLEST, AxisNoise
 THESIS: Final = "thesis"
 FAST: Final = "fast"
 
-REPORTED_WINDOW: Final = 0.05
-"""Of the mean squares that `FastRule` reports [s]."""
-
 _MODES = {MotionKind.STATIC: 1, MotionKind.MOVING: 0, MotionKind.UNKNOWN: -1}
 _TRIADS = ("gyros", "accelerometers")
 _NEVER = 2**62
@@ -33,12 +30,15 @@ class MotionConfig:
         (), "six variances, gyros first [rad^2/s^2, m^2/s^4]; empty: of a still, or the grade's"
     )
     calibration_time: float = setting(
-        0.0, "still at the start that shows the noise, 0: take the grade's [s]", low=0.0, high=3600.0
+        0.0,
+        "still at the start that shows the noise, 0: take the grade's [s]",
+        low=0.0,
+        high=3600.0,
     )
     window: float = setting(1.0, "of variances [s]", low=0.1, high=60.0)
     static_windows: int = setting(3, "still windows in a row (thesis)", low=1, high=100)
     false_switches_per_day: float = setting(
-        0.01, "expected at rest, at most (fast)", low=1e-9, high=1e5
+        0.02, "expected at rest, at most (fast)", low=1e-9, high=1e5
     )
     quiet_time: float = setting(5.0, "without motion before still (fast) [s]", low=0.5, high=600.0)
     longest_window: float = setting(8.0, "for slow motion (fast) [s]", low=0.2, high=60.0)
@@ -114,9 +114,12 @@ class FastRule:
         self._baseline, self._variance = np.zeros(6), np.full(6, -1.0)
         self._previous, self._found = np.full(3, np.nan), np.zeros(3, np.int64)
         self._ring, self._numbers = np.zeros((size, 12)), np.zeros(size, np.int64)
-        self._shown = max(2, round(REPORTED_WINDOW * rate_hz))
+        self._shown = int(self.limits.energy_lengths[0])
         self._tail = np.full((self._shown, 6), np.nan)
         self._rest = np.full(6, np.nan)
+        # Compiles the kernels: not when the earth begins to move.
+        self._advance(np.empty((0, 6)), 0, 0)
+        self._look_back(0, 0)
 
     def feed(self, first: int, samples: FloatArray) -> list[MotionDecision]:
         """Take samples ``first ..``, shape (m, 6), and return the changes of state."""
@@ -151,8 +154,8 @@ class FastRule:
             samples, row, first, _MODES[self.state], 1.0 / self._noise.sigma, self._drive,
             limits.clip, self._gap, self._frozen, self._quiet, limits.lengths, limits.strides,
             limits.mean, limits.triad, limits.energy_lengths, limits.energy_strides, limits.energy,
-            self._counters, self._baseline, self._variance, self._previous, self._ring,
-            self._numbers, self._found,
+            limits.triad_energy, self._counters, self._baseline, self._variance, self._previous,
+            self._ring, self._numbers, self._found,
         )  # fmt: skip
         return int(after), int(event)
 
@@ -175,21 +178,32 @@ class FastRule:
         return cause
 
     def _onset(self) -> int:
-        """Return the earliest sample that the motion just found can have touched."""
+        """Return the earliest sample that the motion just found can have touched.
+
+        What grows linearly is noticed by the last two thirds of it: the window's own length is
+        put before it, besides the guard.
+        """
         kind, number, _ = (int(value) for value in self._found)
-        limits, count = self.limits, int(self._counters[kernels.COUNT])
-        lengths = limits.energy_lengths if kind == kernels.ENERGY else limits.lengths
-        first = kernels.look_back(
-            count, count - int(lengths[number]) + 1, self._ring, limits.lengths, limits.mean[2],
-            limits.triad[2], limits.energy_lengths, limits.energy[2], self._found,
+        swings = kind in (kernels.ENERGY, kernels.TRIAD_ENERGY)
+        lengths = self.limits.energy_lengths if swings else self.limits.lengths
+        length, count = int(lengths[number]), int(self._counters[kernels.COUNT])
+        first = self._look_back(count, count - length + 1)
+        return int(self._numbers[first & (self._numbers.size - 1)]) - length - self._guard
+
+    def _look_back(self, count: int, first: int) -> int:
+        limits = self.limits
+        found = kernels.look_back(
+            count, first, self._ring, limits.lengths, limits.mean[2], limits.triad[2],
+            limits.energy_lengths, limits.energy[2], limits.triad_energy[2], self._found,
         )  # fmt: skip
-        return int(self._numbers[first & (self._numbers.size - 1)]) - self._guard
+        return int(found)
 
     def _cause(self) -> str:
         kind, number, axis = (int(value) for value in self._found)
-        lengths = self.limits.energy_lengths if kind == kernels.ENERGY else self.limits.lengths
-        who = _TRIADS[axis] if kind == kernels.TRIAD else AXES[axis]
-        what = "energy" if kind == kernels.ENERGY else "mean"
+        swings = kind in (kernels.ENERGY, kernels.TRIAD_ENERGY)
+        lengths = self.limits.energy_lengths if swings else self.limits.lengths
+        who = AXES[axis] if kind in (kernels.MEAN, kernels.ENERGY) else _TRIADS[axis]
+        what = "energy" if swings else "mean"
         return f"{who}: {what} over {lengths[number] / self._rate_hz:g} s"
 
     def _last_rows(self, rows: FloatArray) -> FloatArray:
@@ -242,10 +256,13 @@ class ThesisRule:
             self._next, self.since = first, first
             self._window, self.decided_through = self._window_of(first), first - 1
         decisions = []
-        lost = first - self._next
-        while lost > 0 and self._first_of(self._window + 1) <= first:
-            # The window ends within the gap.
-            decisions += self._close()
+        for _ in range(2):
+            # Windows that end within a gap; after the second nothing changes.
+            if first > self._next and self._first_of(self._window + 1) <= first:
+                decisions += self._close()
+        if first > self._next and self._window_of(first) > self._window:
+            self._window = self._window_of(first)
+            self.decided_through = self._first_of(self._window) - 1
         end = first + len(samples)
         while first < end:
             until = min(end, self._first_of(self._window + 1))
@@ -293,6 +310,4 @@ class ThesisRule:
     def _to(self, state: MotionKind, since: int, cause: str) -> list[MotionDecision]:
         self.state, self.since = state, max(self.since, since)
         variance, number = self._last
-        return [
-            MotionDecision(self.state, self.since, number, variance, self.thresholds, cause)
-        ]
+        return [MotionDecision(self.state, self.since, number, variance, self.thresholds, cause)]

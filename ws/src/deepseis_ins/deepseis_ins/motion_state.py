@@ -1,4 +1,4 @@
-"""Is the station still or moving?
+"""Tell whether the station is still or moving.
 
 Two rules. `thesis` (thesis 3.4.3, equations 3.40..3.42): the variances of six axes over whole
 seconds of the IMU's time, against twice the RMS of such variances at rest; one at or above its
@@ -30,7 +30,14 @@ from deepseis_ins.motion_noise import (
     noise_of_thresholds,
     thresholds_of_noise,
 )
-from deepseis_ins.motion_rules import FAST, THESIS, FastRule, MotionConfig, MotionDecision, ThesisRule
+from deepseis_ins.motion_rules import (
+    FAST,
+    THESIS,
+    FastRule,
+    MotionConfig,
+    MotionDecision,
+    ThesisRule,
+)
 
 __all__ = ["FAST", "THESIS", "MotionConfig", "MotionDecision", "MotionDetector"]
 
@@ -81,8 +88,8 @@ class MotionDetector:
         self._window = max(2, round(config.window * rate_hz))
         self._expected = None if grade is None else noise_of_grade(grade, rate_hz)
         self._rule: FastRule | ThesisRule | None = None
-        self._pending = np.empty((0, 6))
         self._wanted = round(config.calibration_time * rate_hz)
+        self._still, self._gathered = np.empty((self._wanted, 6)), 0
         self._state, self._since = MotionKind.UNKNOWN, 0
         self._next: int | None = None
         if config.thresholds:
@@ -156,25 +163,24 @@ class MotionDetector:
         if self._rule is not None:
             return self._rule.feed(first, samples)
         if gap:
-            self._pending = self._pending[:0]
+            self._gathered = 0
         return self._calibrate(first, samples)
 
     def _calibrate(self, first: int, samples: FloatArray) -> list[MotionDecision]:
         """Gather a still without gaps; judge it when it is long enough."""
         decisions: list[MotionDecision] = []
-        good = np.isfinite(samples[:, 3:]).all(axis=1)
+        lost = np.flatnonzero(~np.isfinite(samples[:, 3:]).all(axis=1))
         row = 0
         while row < len(samples) and self._rule is None:
-            if not good[row]:
-                self._pending = self._pending[:0]
-                row += 1
+            ahead = lost[np.searchsorted(lost, row) :]
+            until = int(ahead[0]) if ahead.size else len(samples)
+            if until == row:
+                self._gathered, row = 0, row + 1
                 continue
-            bad = np.flatnonzero(~good[row:])
-            until = row + int(bad[0]) if bad.size else len(samples)
-            until = min(until, row + self._wanted - len(self._pending))
-            self._pending = np.concatenate([self._pending, samples[row:until]])
-            row = until
-            if len(self._pending) == self._wanted:
+            count = min(until - row, self._wanted - self._gathered)
+            self._still[self._gathered : self._gathered + count] = samples[row : row + count]
+            self._gathered, row = self._gathered + count, row + count
+            if self._gathered == self._wanted:
                 decisions += self._judge(first + row)
         if self._rule is not None and row < len(samples):
             decisions += self._rule.feed(first + row, samples[row:])
@@ -182,20 +188,21 @@ class MotionDetector:
 
     def _judge(self, end: int) -> list[MotionDecision]:
         """Calibrate with the still that ends before sample ``end``."""
-        begin = end - len(self._pending)
-        found = calibrate(self._pending, self.rate_hz, self._window, self._expected)
+        found = calibrate(self._still, self.rate_hz, self._window, self._expected)
         self.calibration = found
         if found.noise is not None:
             self._rule = self._make_rule(found)
-            decisions = self._rule.feed(begin, self._pending)
-            self._pending = self._pending[:0]
+            decisions = self._rule.feed(end - self._wanted, self._still)
+            self._still = np.empty((0, 6))
             # Before its end there was nothing to decide with.
             return [
                 MotionDecision(d.state, d.since if d.state == MotionKind.MOVING else end - 1,
                                end - 1, d.variance, d.threshold, d.cause)
                 for d in decisions[-1:]
             ]  # fmt: skip
-        self._pending = self._pending[len(self._pending) // 2 :]
+        half = self._wanted // 2
+        self._still[: self._wanted - half] = self._still[half:].copy()
+        self._gathered = self._wanted - half
         if self._state == MotionKind.MOVING:
             return []
         self._state = MotionKind.MOVING

@@ -35,10 +35,12 @@ LAST: Final = 3
 COUNTERS: Final = 4
 
 MEAN: Final = 0
-"""Kinds of tests: of an axis' mean, of a triad's mean, of an axis' energy."""
+"""Kinds of tests: of the mean of an axis and a triad, of the energy of an axis and a triad."""
 TRIAD: Final = 1
 ENERGY: Final = 2
+TRIAD_ENERGY: Final = 3
 
+_FAR = 1e100  # its square is a number
 _NO_MEAN = 1e18  # times a sample's variance: the first sample becomes the mean
 
 
@@ -64,7 +66,8 @@ def _innovate(row, scale, drive, clip, baseline, variance, before, after):  # ty
                 continue
             if variance[j] < 0.0:
                 baseline[j], variance[j] = row[j], _NO_MEAN
-            after[j] = (row[j] - baseline[j]) * scale[j] / math.sqrt(1.0 + variance[j] + drive[j])
+            value = (row[j] - baseline[j]) * scale[j] / math.sqrt(1.0 + variance[j] + drive[j])
+            after[j] = min(max(value, -_FAR), _FAR)
             norm += after[j] * after[j]
         shrink = clip / math.sqrt(norm) if norm > clip * clip else 1.0
         for j in range(3 * t, 3 * t + 3):
@@ -78,7 +81,10 @@ def _innovate(row, scale, drive, clip, baseline, variance, before, after):  # ty
 
 
 @njit(cache=True, nogil=True)
-def _test(count, ring, lengths, strides, mean, triad, energy_lengths, energy_strides, energy, found):  # type: ignore[no-untyped-def]
+def _test(  # type: ignore[no-untyped-def]
+    count, ring, lengths, strides, mean, triad,
+    energy_lengths, energy_strides, energy, triad_energy, found,
+):  # fmt: skip
     """Compare all windows that end now with their limits; shortest first.
 
     ``found`` receives kind, number of the length, axis or triad. Strides are powers of two that
@@ -110,9 +116,16 @@ def _test(count, ring, lengths, strides, mean, triad, energy_lengths, energy_str
         if n > count or count & (energy_strides[s] - 1) != 0:
             break
         then = (count - n) & size
-        for j in range(6):
-            if ring[now, 6 + j] - ring[then, 6 + j] > energy[s, j]:
-                found[0], found[1], found[2] = ENERGY, s, j
+        for t in range(2):
+            total = 0.0
+            for j in range(3 * t, 3 * t + 3):
+                squares = ring[now, 6 + j] - ring[then, 6 + j]
+                total += squares
+                if squares > energy[s, j]:
+                    found[0], found[1], found[2] = ENERGY, s, j
+                    return True
+            if total > triad_energy[s, t]:
+                found[0], found[1], found[2] = TRIAD_ENERGY, s, t
                 return True
     return False
 
@@ -120,7 +133,7 @@ def _test(count, ring, lengths, strides, mean, triad, energy_lengths, energy_str
 @njit(cache=True, nogil=True)
 def advance(  # type: ignore[no-untyped-def]
     x, start, first_number, mode, scale, drive, clip, longest_gap, frozen, quiet,
-    lengths, strides, mean, triad, energy_lengths, energy_strides, energy,
+    lengths, strides, mean, triad, energy_lengths, energy_strides, energy, triad_energy,
     counters, baseline, variance, previous, ring, numbers, found,
 ):  # fmt: skip
     """Go on from row ``start`` of ``x`` to the next event; return the row after it, and which.
@@ -170,7 +183,7 @@ def advance(  # type: ignore[no-untyped-def]
         numbers[count & size] = first_number + i
         if _test(
             count, ring, lengths, strides, mean[level], triad[level],
-            energy_lengths, energy_strides, energy[level], found,
+            energy_lengths, energy_strides, energy[level], triad_energy[level], found,
         ):  # fmt: skip
             if mode != 0:
                 return i + 1, MOTION
@@ -181,7 +194,9 @@ def advance(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def look_back(count, first, ring, lengths, mean, triad, energy_lengths, energy, found):  # type: ignore[no-untyped-def]
+def look_back(  # type: ignore[no-untyped-def]
+    count, first, ring, lengths, mean, triad, energy_lengths, energy, triad_energy, found
+):
     """Move the start of a motion back while windows before it are suspicious; return its count.
 
     ``first`` is the first sample of the window that noticed it.
@@ -202,8 +217,8 @@ def look_back(count, first, ring, lengths, mean, triad, energy_lengths, energy, 
             break
         if _test(
             end, ring, shorter, always, mean, triad,
-            shorter_energy, always, energy, found,
+            shorter_energy, always, energy, triad_energy, found,
         ):  # fmt: skip
-            n = shorter_energy[found[1]] if found[0] == ENERGY else shorter[found[1]]
+            n = shorter_energy[found[1]] if found[0] >= ENERGY else shorter[found[1]]
             first, moved = end - n + 1, True
     return first

@@ -13,12 +13,18 @@ import numpy as np
 
 from deepseis_core.constants import L1_WAVELENGTH, SPEED_OF_LIGHT
 from deepseis_core.imu_grades import STANDARD_GRAVITY
-from deepseis_core.types import FloatArray
+from deepseis_core.types import FloatArray, Pvt
+from deepseis_ins.antenna_motion import LEVER_POINTS, polynomial_weights
 from deepseis_ins.fusion_config import FusionConfig
+from deepseis_ins.imu_history import ImuHistory
 
 _FIRST_SD = 1e4
 """Of a drift that is not known yet [m/s]."""
 _GATE = 6.0
+_AROUND = 4
+"""Rows of IMU data on each side of an epoch."""
+_RESTS = 100
+"""Epochs in the mean of the force at rest."""
 
 
 class OscillatorTerms:
@@ -41,6 +47,7 @@ class OscillatorTerms:
         self._x = np.zeros(4)
         self._P = np.diag([_FIRST_SD**2, *[sensitivity**2] * 3])
         self._seconds: float | None = None
+        self._rests = 0
 
     @property
     def sensitivity(self) -> FloatArray:
@@ -51,6 +58,27 @@ class OscillatorTerms:
     def sensitivity_sd(self) -> FloatArray:
         """One sigma of it [1/g], shape (3,)."""
         return np.sqrt(np.diag(self._P)[1:]) * (STANDARD_GRAVITY / SPEED_OF_LIGHT)
+
+    def take(self, pvt: Pvt, history: ImuHistory, sample_rate_hz: float, *, still: bool) -> bool:
+        """Take the drift of a PVT, and the force from the IMU data around it; see `update`."""
+        row = history.number_at(pvt.sample_index)
+        begin, end = row - _AROUND, row + _AROUND + 1
+        if begin < history.first or end > history.end:
+            return False
+        gained = np.cumsum(history.increments(begin, end)[1], axis=0)
+        time = (history.indices(begin, end) - pvt.sample_index) / sample_rate_hz
+        if still:
+            force = (gained[-1] - gained[0]) / (time[-1] - time[0])
+            self.rest_at(force)
+        else:
+            force = (polynomial_weights(time, np.zeros(1), LEVER_POINTS)[1] @ gained)[0]
+        return self.update(pvt.sample_index / sample_rate_hz, pvt.clock_drift, force)
+
+    def rest_at(self, force_b: FloatArray) -> None:
+        """Take a specific force at rest [m/s^2]: the mean of many counts."""
+        self._rests = min(self._rests + 1, _RESTS)
+        rest = force_b if self.rest is None else self.rest
+        self.rest = rest + (force_b - rest) / self._rests
 
     def update(self, seconds: float, drift: float, force_b: FloatArray) -> bool:
         """Take one drift.

@@ -112,7 +112,7 @@ class Artificial:
     tolerance: float = setting(
         0.05, "greatest relative deviation from the spectrum", low=0.02, high=0.5
     )
-    iterations: int = setting(15, "rounds of the match at most", low=1, high=200)
+    iterations: int = setting(20, "rounds of the match at most", low=1, high=200)
 
     def build(self, around: Surroundings) -> Motion:
         """Make the earthquake; the seed is that of the scenario."""
@@ -145,6 +145,8 @@ class Artificial:
                 reason = f"{name}: t1 = {t1}, t2 = {t2}, t3 = {t3} s are not in order"
                 hint = f"t1 < t2 <= t3 - {FADE:g} s, t3 <= duration = {self.duration:g} s"
                 raise InputError(kind, reason, hint)
+        if len(self.frequency_range_hz) != 2:
+            raise InputError(kind, "frequency_range_hz takes two values", "lowest, highest")
         low, high = self.frequency_range_hz
         if low > 1.0 / LONGEST_PERIOD or high < 1.0 / SHORTEST_PERIOD:
             reason = f"frequencies of {low:g} to {high:g} Hz do not make the spectrum"

@@ -7,10 +7,12 @@ their times (design, architecture: IMU samples sit on the station's scale by con
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, Final
 
 import numpy as np
 
+from deepseis_core.errors import InputError
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.imu_errors import ImuErrors
 from deepseis_core.imu_grades import grade_named
@@ -77,13 +79,16 @@ class Bench:
         self.scenario = scenario
         self.start: GpsTime = scenario.start.time
         self.site = Site(scenario.place.geodetic)
-        self.motion, self.stands_in = self._motion()
-        self.clock = Oscillator(scenario.receiver.oscillator, scenario.seed, self.motion)
+        with self._part("motion"):
+            self.motion, self.stands_in = self._motion()
+        with self._part("receiver"):
+            self.clock = Oscillator(scenario.receiver.oscillator, scenario.seed, self.motion)
         antenna = self.site.trajectory(self.motion, scenario.lever_arm)
-        ephemerides = broadcast_ephemerides(
-            self._beside(scenario.sky.nav_file), self.start, scenario.seed
-        )
-        self.sky = Sky(scenario.sky, ephemerides, self.start, antenna, scenario.duration)
+        with self._part("sky"):
+            ephemerides = broadcast_ephemerides(
+                self._beside(scenario.sky.nav_file), self.start, scenario.seed
+            )
+            self.sky = Sky(scenario.sky, ephemerides, self.start, antenna, scenario.duration)
         self.model = SignalModel(
             self.sky.satellites,
             self.start,
@@ -103,8 +108,10 @@ class Bench:
         self.samples_per_block = round(BLOCK_SECONDS * self.sample_rate_hz) // unit * unit
         self.sample_count = round(scenario.duration * self.sample_rate_hz) // unit * unit
         self.antenna_ecef: FloatArray = antenna(np.zeros(1))[0]
-        self.gravity = scenario.gravity.build(scenario.seed) if scenario.gravity else None
-        self.base = self._base()
+        with self._part("gravity"):
+            self.gravity = scenario.gravity.build(scenario.seed) if scenario.gravity else None
+        with self._part("base"):
+            self.base = self._base()
         self.imu_errors: ImuErrors | None = None
         self.streams = list(self._streams())
 
@@ -192,6 +199,15 @@ class Bench:
         s = self.scenario
         return {"scenario": {"name": s.name, "title": s.title, "seed": s.seed, "source": s.source}}
 
+    @contextmanager
+    def _part(self, name: str) -> Iterator[None]:
+        """Say where in the scenario's file the part stands that makes no sense."""
+        try:
+            yield
+        except InputError as error:
+            place = self.scenario.places.get(name)
+            raise (InputError(place, str(error)) if place else error) from None
+
     def _motion(self) -> tuple[Motion, bool]:
         s = self.scenario
         around = Surroundings(s.place.geodetic, s.duration, s.seed, s.folder)
@@ -223,30 +239,38 @@ class Bench:
             self.model, self.sky, self.site, self.motion, s.lever_arm, (s.truth_rate_hz, rate)
         )
         if s.signal:
-            stream = IfStream(
-                self.model,
-                self.front_end,
-                seed=s.seed,
-                jammers=s.jammers,
-                multipath=s.multipath,
-                agc_s=s.receiver.agc_s,
-            )
+            with self._part("jammers"):
+                stream = IfStream(
+                    self.model,
+                    self.front_end,
+                    seed=s.seed,
+                    jammers=s.jammers,
+                    multipath=s.multipath,
+                    agc_s=s.receiver.agc_s,
+                )
             yield IfBlocks(stream, self.front_end, self.samples_per_block)
         else:
-            model = ObservationModel(
-                self.model, s.observations, cn0=self.sky.cn0_dbhz, seed=s.seed,
-                sample_rate_hz=rate,
-            )  # fmt: skip
+            with self._part("observations"):
+                model = ObservationModel(
+                    self.model, s.observations, cn0=self.sky.cn0_dbhz, seed=s.seed,
+                    sample_rate_hz=rate,
+                )  # fmt: skip
             yield ObservationStream("gnss/observations", model, self.start, rate)
         if s.imu:
-            yield self._imu()
+            with self._part("imu"):
+                imu = self._imu()
+            yield imu
         if self.base:
             yield ObservationStream("base/observations", self.base, self.start, rate)
         if s.ldv:
-            yield LdvStream(LdvSynthesizer(s.ldv, self.motion, s.seed, clock=self.clock), rate)
+            with self._part("ldv"):
+                ldv = LdvSynthesizer(s.ldv, self.motion, s.seed, clock=self.clock)
+            yield LdvStream(ldv, rate)
         if s.positions:
             rates = s.position_rate_hz, rate
-            yield PositionStream(s.positions, self.model, self.site, rates, s.seed)
+            with self._part("positions"):
+                positions = PositionStream(s.positions, self.model, self.site, rates, s.seed)
+            yield positions
 
     def _imu(self) -> ImuStream:
         s = self.scenario

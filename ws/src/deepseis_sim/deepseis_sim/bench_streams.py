@@ -117,25 +117,25 @@ class TruthStream:
         self._attitude: FloatArray | None = None  # the last one: signs go on from it
 
     def value(self, begin: int, end: int) -> Truth:
-        """Return the truth of a span of samples."""
-        numbers = self.ticks.between(begin, end)
-        time = self.ticks.times(numbers)
+        """Return the truth of a span of samples, at the samples that its indices name."""
+        indices = self.ticks.samples(self.ticks.between(begin, end))
+        time = indices / self.sample_rate_hz
         true_time = time - self.model.clock(time)
         states = self.site.states(self.motion, true_time, self.lever_arm_b)
         attitude = orientation_xyzw(self.motion.at(true_time), self._attitude)
         attitude = np.broadcast_to(attitude, (len(time), 4))
         self._attitude = attitude[-1] if len(time) else self._attitude
-        satellite_numbers = self.satellite_ticks.between(begin, end)
-        satellite_time = self.satellite_ticks.times(satellite_numbers)
+        satellite_indices = self.satellite_ticks.samples(self.satellite_ticks.between(begin, end))
+        satellite_time = satellite_indices / self.sample_rate_hz
         rows = truth_rows(self.model, satellite_time)
         return Truth(
             end - 1,
-            self.ticks.samples(numbers),
+            indices,
             states.position,
             states.velocity,
             states.acceleration,
             attitude,
-            self.satellite_ticks.samples(satellite_numbers),
+            satellite_indices,
             tuple(item.satellite for item in self.model.satellites),
             rows["range"],
             rows["pseudorange"],

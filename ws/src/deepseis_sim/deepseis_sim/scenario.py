@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -75,7 +76,7 @@ class StartConfig:
     The default is 2 s before a subframe 1, page 18 follows in its frame, and 12 satellites are up.
     """
 
-    week: int = setting(2399, "GPS week", low=0, high=10000)
+    week: int = setting(2399, "GPS week; stamps of messages end in 3028", low=0, high=3027)
     tow: int = setting(415258, "second of week [s]", low=0, high=604799)
 
     @property
@@ -113,7 +114,11 @@ class ReceiverConfig:
 
 @dataclass(frozen=True)
 class Scenario:
-    """Everything that the bench needs to know; same scenario, same bytes."""
+    """Everything that the bench needs to know; same scenario, same bytes.
+
+    ``changes`` are the settings that were changed when it was loaded, ``places`` the file and line
+    of each part.
+    """
 
     name: str = setting("", "name; set from the file's")
     title: str = setting("", "one line for people")
@@ -138,6 +143,9 @@ class Scenario:
     ldv: LdvConfig | None = None
     gravity: GravityField | None = None
     folder: Path = field(default=Path(), init=False)
+    short: bool = field(default=False, init=False)
+    changes: tuple[str, ...] = field(default=(), init=False)
+    places: Mapping[str, str] = field(default_factory=dict, init=False)
 
     @property
     def lever_arm(self) -> FloatArray:
@@ -170,19 +178,32 @@ def load_scenario(name: str, *, short: bool = False, settings: Iterable[str] = (
     path = _path(name)
     tree = read_yaml(path)
     brief = tree.value.pop("short", None)
+    brief = None if brief and brief.value is None else brief
     if short and brief is None:
         raise InputError(path, "has no short form", "leave out --short")
     if brief is not None:
         _fill(overlay(tree, brief))  # a fault in the short form shows in the long one too
         tree = overlay(tree, brief) if short else tree
+    settings = tuple(settings)
+    if any(_names_a_record(text) for text in settings):
+        tree.value.pop("stand_in", None)  # who names a record wants that one
     for text in settings:
         tree = override(tree, text)
     scenario = _fill(tree)
-    object.__setattr__(
-        scenario, "folder", _data_folder() if path.parent == FOLDER else path.parent
-    )
-    object.__setattr__(scenario, "name", scenario.name or path.stem)
+    of_load = {
+        "name": scenario.name or path.stem,
+        "folder": _data_folder() if path.parent == FOLDER else path.parent,
+        "short": short,
+        "changes": settings,
+        "places": {key: entry.where for key, entry in tree.value.items()},
+    }
+    for key, value in of_load.items():
+        object.__setattr__(scenario, key, value)
     return scenario
+
+
+def _names_a_record(text: str) -> bool:
+    return bool(re.match(r"\s*motion\.\d+\.file\s*=", text))
 
 
 def _fill(tree: Entry) -> Scenario:
@@ -223,6 +244,8 @@ def summary_of(scenario: Scenario) -> dict[str, Any]:
         "scenario": scenario.name,
         "title": scenario.title,
         "source": scenario.source,
+        "short": scenario.short,
+        "changes": list(scenario.changes),
         "seed": scenario.seed,
         "duration_s": scenario.duration,
         "imu_grade": scenario.imu.grade if scenario.imu else "",

@@ -269,13 +269,13 @@ class _Problem:
         """Return the least change that puts all peaks right, as far as heights are linear."""
         self._meet(swings)
         wanted, held = self._wanted(amplitudes, swings)
-        gram = self.gram[np.ix_(held, held)]
-        need = wanted[held]
+        gram, need = self.gram[np.ix_(held, held)], wanted[held]
         importance = np.clip((need / WORTH_MOVING) ** 2, 0.3, 30.0)
         softness = SOFTNESS * np.trace(gram[2:, 2:]) / need.size / importance
         softness[:2] = 0.0
-        solution = np.linalg.solve(gram + np.diag(softness), need)
-        return _complex(self.rows[held].T @ solution) * self.weight
+        solution = np.zeros(wanted.size)
+        solution[held] = np.linalg.solve(gram + np.diag(softness), need)
+        return _complex(solution @ self.rows) * self.weight
 
     def _meet(self, swings: _Swings) -> None:
         """Take up peaks not met before; they replace those of the same swing."""

@@ -39,6 +39,7 @@ def filter_carrier(
     accel = state.accel + k3 * error
     slope = state.slope_hz + k2 * error + 0.5 * period * (state.accel + accel)
     state.nco_hz = 0.5 * (state.slope_hz + slope) + k1 * error
+    state.slope_before = state.slope_hz
     state.slope_hz = slope
     state.accel = accel
 

@@ -20,6 +20,7 @@ STATE = np.dtype(
         ("carrier_phase", "f8"),  # cycles at next_sample
         ("nco_hz", "f8"),  # carrier loop output for the next integration, without aiding
         ("slope_hz", "f8"),  # frequency integrator
+        ("slope_before", "f8"),  # the same before the last update
         ("accel", "f8"),  # acceleration integrator [Hz/s]
         ("code_slope", "f8"),  # DLL output [chips/s]
         ("last_i", "f8"),

@@ -13,7 +13,7 @@ from scipy.linalg import solve_continuous_lyapunov
 from deepseis_core.types import FloatArray
 from deepseis_tracking.loop_theory import PHASE_PER_METRE, natural_frequency
 
-_POINTS = 20_000
+_POINTS = 4000
 
 
 @dataclass(frozen=True)

@@ -45,8 +45,10 @@ class DiscreteLoop:
 
         ``sin(pi f T) / (pi f T) (1 + m (z I - A)^-1 b)`` at ``z = exp(2 pi i f T)``, of the phase
         at the integration's middle. The loop's true error (over an integration) and its
-        discriminator's output without noise are the same number.
+        discriminator's output without noise are the same number. Infinite if the loop is unstable.
         """
+        if not np.isfinite(self.noise_bandwidth_hz):
+            return np.full(np.shape(frequency_hz), np.inf, np.complex128)
         frequency = np.atleast_1d(np.asarray(frequency_hz, np.float64))
         matrix, drive, measure = self._system()
         z = np.exp(2j * np.pi * frequency * self.period)[:, None, None]

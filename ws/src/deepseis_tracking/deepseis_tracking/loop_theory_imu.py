@@ -182,7 +182,7 @@ def free_inertial_error(loop: AnalogLoop, grade: ImuGrade, span: float) -> float
     span : float
         From one update of the navigation to the next [s].
     """
-    time = np.linspace(0.0, span, 2000)
+    time = np.linspace(0.0, span, 301)
     slope = STANDARD_GRAVITY * grade.gyros.bias
     growth = 2.0 * grade.accelerometers.bias + slope * time
     return float(np.abs(loop.error(time, growth, 2)).max())

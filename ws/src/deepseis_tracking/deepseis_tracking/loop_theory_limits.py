@@ -53,7 +53,7 @@ def best_bandwidth(
     error: Error, least: float = 0.02, greatest: float = 60.0
 ) -> tuple[float, float]:
     """Return the bandwidth [Hz] of the least error, and that error [rad]."""
-    grid = np.geomspace(least, greatest, 400)
+    grid = np.geomspace(least, greatest, 120)
     at = int(np.argmin([error(float(b)) for b in grid]))
     low, high = grid[max(at - 1, 0)], grid[min(at + 1, grid.size - 1)]
     found = minimize_scalar(error, bounds=(low, high), method="bounded")

@@ -29,7 +29,7 @@ class LoopRun:
     """What a loop did, one value for each integration, shape (n,), phases in rad.
 
     ``discriminator`` is its output; ``error`` the mean phase of the signal less that of the
-    replica, not wrapped: it is near a multiple of pi after slips. ``doppler_hz`` is the replica's.
+    replica, not wrapped: near a multiple of pi after slips. ``doppler_hz`` is the replica's.
     """
 
     discriminator: FloatArray
@@ -45,11 +45,10 @@ class LoopRun:
         return float(np.abs(self.discriminator[first:]).max())
 
     @property
-    def slips(self) -> int:
-        """Half cycles between the errors of the first and the last tenth."""
-        tenth = max(self.error.size // 10, 1)
-        moved = np.median(self.error[-tenth:]) - np.median(self.error[:tenth])
-        return round(abs(float(moved)) / np.pi)
+    def kept(self) -> int:
+        """Integrations until the true error first passes 90 deg, where atan misleads."""
+        beyond = np.flatnonzero(np.abs(self.error) > np.pi / 2.0)
+        return int(beyond[0]) if beyond.size else self.error.size
 
 
 def simulate_loop(
@@ -72,6 +71,8 @@ def simulate_loop(
     seed : int
         Same seed, same noise.
     """
+    if range_m.ndim != 2 or not range_m.size:
+        raise ValueError(f"ranges of shape {range_m.shape}: (integrations, parts) are needed")
     phase = np.ascontiguousarray(range_m, np.float64) / L1_WAVELENGTH
     noise = np.random.default_rng([seed, NOISE_STREAM]).standard_normal((phase.shape[0], 2))
     amplitude = float(np.sqrt(2.0 * linear(cn0_dbhz) * period))

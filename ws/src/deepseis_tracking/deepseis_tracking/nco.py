@@ -86,6 +86,7 @@ def switch_on(state: Any, config: Any, aid: Any, aid_hz: float) -> None:
     if config.reset_samples > 0:
         state.reset_epoch = state.next_sample // config.reset_samples
     state.slope_hz -= aid_hz + state.clock_hz
+    state.slope_before = state.slope_hz
     state.nco_hz -= aid_hz + state.clock_hz
 
 
@@ -102,13 +103,18 @@ def switch_off(state: Any, config: Any, aid_hz: float, aid_rate: float) -> None:
 
 @njit(cache=True, nogil=True)
 def _reset(state: Any, config: Any, aid: Any) -> None:
-    """Policy ``reset`` (Doppler-aided 2.3): each aid epoch sets the base and clears the loop."""
+    """Policy ``reset`` (Doppler-aided 2.3): each aid epoch sets the base and clears the loop.
+
+    Cleared is what had accumulated before the last update, so that the loop stays closed even
+    where every integration begins an epoch.
+    """
     epoch = state.next_sample // config.reset_samples
     if epoch != state.reset_epoch:
         state.reset_epoch = epoch
         if np.isfinite(aid.clock_hz):
             state.clock_hz = aid.clock_hz
-        state.slope_hz = state.nco_hz = 0.0
+        state.slope_hz -= state.slope_before
+        state.nco_hz -= state.slope_before
 
 
 @njit(cache=True, nogil=True)

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 from collections import deque
 
-from deepseis_msgs.msg import Watermark
-
 
 class CountedInput:
-    """Messages of one sender and its watermarks.
+    """Messages on one topic, and the watermarks that count them.
 
     Attributes
     ----------
@@ -31,9 +29,9 @@ class CountedInput:
         self._received += 1
         self._settle()
 
-    def announced(self, msg: Watermark) -> None:
-        """Take a watermark."""
-        self._announced.append((msg.event_count, msg.valid_through))
+    def announced(self, count: int, valid_through: int) -> None:
+        """Take a watermark, and how many messages it stands for."""
+        self._announced.append((count, valid_through))
         self._settle()
 
     def _settle(self) -> None:

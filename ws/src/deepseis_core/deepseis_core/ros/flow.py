@@ -124,6 +124,7 @@ class Flow:
         consumed_through: int,
         *,
         event_count: int | None = None,
+        ephemeris_count: int = 0,
         end_of_stream: bool = False,
         utc_ns: int = 0,
     ) -> None:
@@ -133,7 +134,7 @@ class Flow:
         msg = Watermark(node=self.name, ready=self.ready, end_of_stream=end_of_stream)
         msg.header.stamp = stamp_from_ns(utc_ns)
         msg.valid_through, msg.consumed_through = valid_through, consumed_through
-        msg.event_count = count
+        msg.event_count, msg.ephemeris_count = count, ephemeris_count
         msg.shared_count = self.shared_count
         self._pending = msg
         held_ns = utc_ns - self._announced_ns

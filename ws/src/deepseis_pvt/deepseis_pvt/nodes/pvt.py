@@ -79,7 +79,7 @@ class PvtNode(Node):
             self.products = RinexProducts(config.output_dir, station)
         self.load_navigation()
         self.clock: SampleClock | None = None
-        self.ephemerides = 0
+        self.positions = self.ephemerides = 0
         self.second, self.progressed, self.looked = -1, time.monotonic(), 0.0
         publish_on = self.flow.publish_on
         self.observations = publish_on("gnss/observations", Observations, qos.STREAM)
@@ -154,7 +154,8 @@ class PvtNode(Node):
         self.flow.send(
             self.engine.valid_through,
             worked,
-            event_count=self.ephemerides,
+            event_count=self.positions,
+            ephemeris_count=self.ephemerides,
             utc_ns=self.clock.utc_ns(worked),
         )
 
@@ -163,6 +164,7 @@ class PvtNode(Node):
         utc_ns = GpsTime(observations.week, observations.tow_ns).to_utc_ns()
         self.observations.publish(codecs.OBSERVATIONS.encode(observations, utc_ns))
         if pvt is not None:
+            self.positions += 1
             self.pvt.publish(codecs.PVT.encode(pvt, utc_ns))
             self.fix.publish(encode_message(fix_from_pvt(pvt, utc_ns)))
         if self.products is not None:

@@ -1,0 +1,64 @@
+"""What the inertial half of the graph has to know of a recording: IMU, station, clock."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from deepseis_core.errors import InputError
+from deepseis_core.imu_grades import GRADES
+from deepseis_core.sample_clock import SampleClock
+from deepseis_frontend.if_bag import bag_files
+from deepseis_frontend.if_stream import IfSource
+from deepseis_frontend.imu_bag import ImuBag
+from deepseis_frontend.nodes.station_bag import read_station
+
+
+def is_bag(path: Path) -> bool:
+    """Tell whether a path names a bag."""
+    return path.suffix == ".mcap" or (path.is_dir() and any(path.glob("*.mcap")))
+
+
+def has_imu(path: Path, source: IfSource) -> bool:
+    """Tell whether a recording is a bag that holds an IMU with gyroscopes and its station."""
+    if not is_bag(path) or not bag_files(path):
+        return False
+    try:
+        imu = ImuBag(path, _clock(source))
+    except InputError:
+        return False
+    sample = next(imu.samples())
+    return sample.angular_velocity_variance >= 0.0 and read_station(path) is not None
+
+
+def inertial_parameters(path: Path, source: IfSource) -> dict[str, dict[str, Any]]:
+    """Return parameters of ``motion_state`` and ``fusion`` for a bag.
+
+    Raises
+    ------
+    InputError
+        The bag has no IMU or no station, or an IMU of unknown grade.
+    """
+    clock = _clock(source)
+    imu, about = ImuBag(path, clock), read_station(path)
+    if about is None:
+        raise InputError(path, "does not describe its station", "lever arm, orientation, grade")
+    station, _ = about
+    if station.imu not in GRADES:
+        hint = "known: " + ", ".join(GRADES)
+        raise InputError(path, f"has an IMU of unknown grade {station.imu!r}", hint)
+    common = {
+        "start_utc_ns": clock.start_utc_ns,
+        "imu_rate_hz": imu.rate_hz,
+        "imu_grade": station.imu,
+    }
+    geometry = {
+        "monument_ecef": station.monument_ecef.tolist(),
+        "imu_to_antenna": station.imu_to_antenna.tolist(),
+        "imu_orientation_xyzw": station.imu_orientation_xyzw.tolist(),
+    }
+    return {"motion_state": common, "fusion": {**common, **geometry}}
+
+
+def _clock(source: IfSource) -> SampleClock:
+    return SampleClock(source.start_utc_ns or 0, source.sample_rate_hz)

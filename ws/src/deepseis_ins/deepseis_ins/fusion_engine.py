@@ -1,0 +1,343 @@
+"""Fusion of IMU and GNSS, span by span: the inertial solution and the aiding of the loops.
+
+Time is the sample index; nothing depends on when something arrives. A measurement of time t acts
+at the start of the first span at or after t + D, so that the aiding of a span depends on
+
+- IMU data up to its end, the sample that ends exactly there included;
+- decisions on motion, and ephemerides, through its first sample;
+- positions up to D before its first sample.
+
+The filter stands where measurements have been worked in (`delayed_filter`); the present is
+reached from there by mechanisation alone, anew for every span (`fusion_present`). In real time
+what is late is not waited for: late IMU data are extrapolated, and everything that comes late is
+worked in as soon as it is there, as if it had been there in time: from then on the fusion is
+again exactly where it would have been.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from deepseis_core.errors import InputError
+from deepseis_core.gps_time import GpsTime
+from deepseis_core.imu_grades import ImuGrade
+from deepseis_core.sample_clock import SampleClock
+from deepseis_core.types import (
+    Aiding,
+    FloatArray,
+    InsSolution,
+    IntArray,
+    Pvt,
+    PvtStatus,
+    Station,
+)
+from deepseis_ins.aiding import DopplerPredictor, KnotGrid
+from deepseis_ins.alignment import still_mean
+from deepseis_ins.antenna_motion import KnotInterpolator
+from deepseis_ins.delayed_filter import DelayedFilter, GnssUpdate
+from deepseis_ins.fusion_config import FusionConfig
+from deepseis_ins.fusion_inputs import FusionInputs
+from deepseis_ins.fusion_output import FusionOutput, FusionStatus, SolutionWriter, no_aiding
+from deepseis_ins.fusion_present import Present
+from deepseis_ins.fusion_start import Site, start_filter
+from deepseis_ins.imu_history import RowFlag
+from deepseis_ins.loose import LooseConfig
+from deepseis_ins.oscillator_terms import OscillatorTerms
+from deepseis_ins.satellite_book import Chosen
+
+SOURCE = "fusion"
+LOST_S = 30.0
+"""IMU data missing for so long: the station starts anew."""
+CLOCK_JUMP_NS = 500_000
+"""GPS time of samples off by more: the receiver's clock was set, by whole milliseconds."""
+
+
+class FusionEngine(FusionInputs):
+    """Gives solution and aiding of successive 20 ms spans.
+
+    Parameters
+    ----------
+    config : FusionConfig
+    grade : ImuGrade
+    sample_rate_hz : float
+        Of the IF samples [Hz].
+    station : Station
+        Monument, lever arms, orientation.
+    imu_rate_hz : float
+        [Hz]
+    loose : LooseConfig, optional
+        Settings of the filter.
+
+    Attributes
+    ----------
+    next_sample : int
+        First sample of the next span.
+    trouble : str
+        Why the last attempt to start failed; empty if it did not.
+
+    Raises
+    ------
+    InputError
+        Settings, grade or station make no sense.
+    """
+
+    def __init__(
+        self,
+        config: FusionConfig,
+        grade: ImuGrade,
+        sample_rate_hz: float,
+        station: Station,
+        imu_rate_hz: float,
+        *,
+        loose: LooseConfig | None = None,
+    ) -> None:
+        if not grade.has_gyros:
+            raise InputError("fusion", "needs gyroscopes, this grade of IMU has none")
+        super().__init__(config, grade, sample_rate_hz, imu_rate_hz)
+        self.config, self.grade = config, grade
+        self.loose, self.site = loose or LooseConfig(), Site.of(station)
+        self.interpolator = KnotInterpolator(sample_rate_hz)
+        self.writer = SolutionWriter(self.site.monument_ecef, self.site.C_enu_e, self.interpolator)
+        self.oscillator = OscillatorTerms(config) if config.oscillator_on_body else None
+        self.delayed: DelayedFilter | None = None
+        self._clock = SampleClock(0, sample_rate_hz)
+        self._predictor: DopplerPredictor | None = None
+        self._recovering = False
+        self.trouble = ""
+        self._counts = dict.fromkeys(
+            ("spans", "invalid", "late_imu", "late_motion", "late_pvt", "extrapolated",
+             "starts", "corrected_surveys", "restarts", "clock_jumps"), 0,
+        )  # fmt: skip
+        self._worked: dict[str, int] = {}
+
+    # Out
+
+    @property
+    def valid_through(self) -> int:
+        """Last sample that has been given."""
+        return self.next_sample - 1
+
+    @property
+    def statistics(self) -> dict[str, int]:
+        """Counts since the start, for diagnostics."""
+        parts: list[Mapping[str, int]] = [self._counts, self.history.counts, self._worked]
+        if self.delayed is not None:
+            parts.append(self.delayed.counts)
+        keys = [key for part in parts for key in part]
+        return {key: sum(part.get(key, 0) for part in parts) for key in dict.fromkeys(keys)}
+
+    def advance(self, force: bool = False) -> FusionOutput | None:
+        """Return what holds for the next span, or None if it is not due.
+
+        Parameters
+        ----------
+        force : bool, optional
+            Do not wait for what is late (a deadline in real time). Samples that the source has
+            not announced are waited for all the same.
+        """
+        lacking = self.lacking()
+        if "samples" in lacking or (lacking and not force):
+            return None
+        begin, end = self.next_sample, self.next_sample + self.block
+        for what in lacking:
+            self._counts[f"late_{what}"] += 1
+        self._take(begin, end)
+        self.history.fill(end)
+        updates = self._work(begin - self.delay)
+        output = self._produce(begin, end, lacking, updates)
+        self._counts["spans"] += 1
+        self._counts["invalid"] += not output.aiding.valid
+        self._forget()
+        self.next_sample = end
+        return output
+
+    # Inputs in order
+
+    def _take(self, begin: int, end: int) -> None:
+        """Let everything count that does so by now; undo what turns out to have been wrong."""
+        changed_row = self.history.take(end)
+        changed = self.timeline.take(begin)
+        if self.delayed is not None:
+            if changed_row is not None and changed_row <= self.delayed.row:
+                self.delayed.rewind(self.history.sample_index(changed_row))
+            if changed is not None:
+                self.delayed.rewind(changed)
+        for pvt in self.due_pvts(begin - self.delay):
+            self._take_pvt(pvt)
+
+    def _take_pvt(self, pvt: Pvt) -> None:
+        if pvt.status == PvtStatus.NONE:
+            return
+        offset = self._clock.offset_ns(pvt.sample_index)
+        start = GpsTime(pvt.week, pvt.tow_ns).add_ns(-offset)
+        if self._predictor is None or abs(start.diff_ns(self._predictor.start)) > CLOCK_JUMP_NS:
+            self._counts["clock_jumps"] += self._predictor is not None
+            self._predictor = DopplerPredictor(SOURCE, start, self.sample_rate_hz)
+        if self.oscillator is not None:
+            still = self.timeline.is_still(pvt.sample_index)
+            self.oscillator.take(pvt, self.history, self.sample_rate_hz, still=still)
+        if self.delayed is not None:
+            self.delayed.push(pvt)
+
+    def _work(self, horizon: int) -> list[GnssUpdate]:
+        """Bring the filter to D before the span; start it if the station has stood still."""
+        if self.delayed is None:
+            self._start(horizon)
+        elif self._imu_lost():
+            self._restart()
+        return self.delayed.work(horizon) if self.delayed is not None else []
+
+    def _start(self, horizon: int) -> None:
+        history, count = self.history, round(self.config.alignment_s / self.history.dt)
+        row = history.number_at(horizon)
+        if not self.timeline.is_still(horizon) or row + 1 - count < history.first:
+            return
+        rows = row + 1 - count, row + 1
+        if (
+            row < 0
+            or history.count(*rows, RowFlag.MISSING)
+            or history.count(*rows, RowFlag.CLIPPED)
+        ):
+            return
+        still = still_mean(*history.increments(*rows), history.dt)
+        try:
+            filter, corrected = start_filter(self.config, self.loose, self.grade, self.site, still)
+        except InputError as error:
+            self.trouble = str(error)
+            return
+        self.trouble = ""
+        self._counts["starts"] += 1
+        self._counts["corrected_surveys"] += corrected
+        self.delayed = DelayedFilter(
+            self.config, filter, row, history, self.timeline, self.site.lever_arm_b,
+            self.sample_rate_hz,
+        )  # fmt: skip
+
+    def _imu_lost(self) -> bool:
+        count = round(LOST_S / self.history.dt)
+        rows = self.history.end - count, self.history.end
+        return self.history.count(*rows, RowFlag.MISSING) >= count
+
+    def _restart(self) -> None:
+        """Forget where everything is: after so long without IMU data nobody knows."""
+        assert self.delayed is not None
+        for key, value in self.delayed.counts.items():
+            self._worked[key] = self._worked.get(key, 0) + value
+        self.delayed = None
+        self.history.restart()
+        self._recovering = False
+        self._counts["restarts"] += 1
+
+    def _forget(self) -> None:
+        begin = (
+            self.next_sample
+            - self.delay
+            - round((self.config.undo_s + self.config.alignment_s + 1.0) * self.sample_rate_hz)
+        )
+        self.timeline.forget(begin)
+        oldest = self.history.number_at(begin)
+        if self.delayed is not None:
+            oldest = min(oldest, self.delayed.oldest_row - 1)
+        self.history.forget(oldest)
+
+    # Outputs
+
+    def _produce(
+        self, begin: int, end: int, lacking: list[str], updates: list[GnssUpdate]
+    ) -> FusionOutput:
+        grid = KnotGrid.of_span(begin, end - begin, self.sample_rate_hz)
+        late, delayed, predictor = " ".join(lacking), self.delayed, self._predictor
+        if delayed is None or predictor is None:
+            status = FusionStatus.ALIGNING if delayed is None else FusionStatus.NO_TIME
+            return FusionOutput(self.writer.empty(end - 1), no_aiding(SOURCE, grid), status, late)
+        present = Present.of(delayed, self.history.number_at(end), self.site.monument_ecef)
+        chosen = self.book.choose(begin, predictor.gps_time(begin), self.site.monument_ecef)
+        made_up = self._made_up(begin, end)
+        extrapolated = made_up if "imu" in lacking else 0
+        self._counts["extrapolated"] += extrapolated
+        status = self._status(present, chosen, made_up, extrapolated)
+        solution = self._solution(present, begin, end, updates)
+        if status is FusionStatus.RUNNING:
+            aiding = self._aiding(grid, present, chosen, predictor)
+        else:
+            aiding = no_aiding(SOURCE, grid)
+        return FusionOutput(solution, aiding, status, late, extrapolated)
+
+    def _made_up(self, begin: int, end: int) -> int:
+        first, last = (self.history.number_at(sample) + 1 for sample in (begin, end))
+        return self.history.count(first, last, RowFlag.MISSING)
+
+    def _status(
+        self, present: Present, chosen: Chosen, made_up: int, extrapolated: int
+    ) -> FusionStatus:
+        short = self.config.extrapolate_s / self.history.dt
+        lost = self.history.missing_at_end() > short if extrapolated else made_up > 1
+        self._recovering |= lost
+        if lost:
+            return FusionStatus.IMU_LOST
+        sd = present.velocity_sd()
+        if self._recovering and sd > self.config.regained_sd:
+            return FusionStatus.RECOVERING
+        self._recovering = False
+        if sd > self.config.greatest_sd:
+            return FusionStatus.UNCERTAIN
+        return FusionStatus.RUNNING if chosen.names else FusionStatus.NO_SATELLITES
+
+    def _solution(
+        self, present: Present, begin: int, end: int, updates: list[GnssUpdate]
+    ) -> InsSolution:
+        assert self._predictor is not None
+        assert self.delayed is not None
+        count = int(np.count_nonzero(present.nodes.sample_index > begin))
+        samples = present.nodes.sample_index[len(present.nodes.sample_index) - count :]
+        filter = self.delayed.filter
+        return self.writer.write(
+            end - 1,
+            self._times(samples),
+            present.nodes,
+            present.trajectory,
+            (filter.gyro_bias, filter.accel_bias),
+            np.sqrt(np.diag(present.covariance)),
+            updates,
+        )
+
+    def _times(self, samples: IntArray) -> tuple[int, IntArray]:
+        """Return the week of the first sample and nanoseconds of its week of all."""
+        assert self._predictor is not None
+        if not len(samples):
+            return 0, np.zeros(0, np.int64)
+        first = self._predictor.gps_time(int(samples[0]))
+        offsets = np.array([self._clock.offset_ns(k) for k in samples.tolist()], np.int64)
+        return first.week, first.tow_ns + offsets - offsets[0]
+
+    def _aiding(
+        self, grid: KnotGrid, present: Present, chosen: Chosen, predictor: DopplerPredictor
+    ) -> Aiding:
+        antenna = self.interpolator.antenna(present.nodes, grid.samples)
+        aiding = predictor.predict(
+            grid,
+            antenna,
+            chosen.names,
+            chosen.packed,
+            doppler_sd_hz=present.doppler_sd_hz(chosen.unit),
+        )
+        if self.oscillator is None:
+            return aiding
+        doppler, rate = self._oscillator_doppler(grid.samples, present)
+        return replace(
+            aiding,
+            carrier_doppler_hz=aiding.carrier_doppler_hz + doppler,
+            carrier_doppler_rate=aiding.carrier_doppler_rate + rate,
+        )
+
+    def _oscillator_doppler(
+        self, knots: IntArray, present: Present
+    ) -> tuple[FloatArray, FloatArray]:
+        assert self.oscillator is not None
+        samples = present.nodes.sample_index
+        weights = self.interpolator.weights(samples, knots, self.interpolator.lever_points)
+        force, rate = weights[1] @ present.gained_b, weights[2] @ present.gained_b
+        return self.oscillator.doppler(force), self.oscillator.doppler_rate(rate)

@@ -1,0 +1,104 @@
+"""What comes into the fusion, in any order, and how far it is complete."""
+
+from __future__ import annotations
+
+from bisect import bisect_right, insort
+
+from deepseis_core.imu_grades import ImuGrade
+from deepseis_core.types import Ephemeris, ImuSample, MotionState, Pvt
+from deepseis_ins.fusion_config import FusionConfig
+from deepseis_ins.imu_history import ImuHistory
+from deepseis_ins.motion_timeline import MotionTimeline
+from deepseis_ins.satellite_book import SatelliteBook
+
+SPAN_S = 0.02
+"""Of samples that are worked through at once: an IF block [s]."""
+
+
+def _sample_index(pvt: Pvt) -> int:
+    return pvt.sample_index
+
+
+class FusionInputs:
+    """Keeps what comes until its time has come.
+
+    Parameters
+    ----------
+    config : FusionConfig
+    grade : ImuGrade
+    sample_rate_hz, imu_rate_hz : float
+        [Hz]
+
+    Attributes
+    ----------
+    next_sample : int
+        First sample of the next span.
+    """
+
+    def __init__(
+        self, config: FusionConfig, grade: ImuGrade, sample_rate_hz: float, imu_rate_hz: float
+    ) -> None:
+        self.sample_rate_hz = sample_rate_hz
+        self.block = max(1, round(SPAN_S * sample_rate_hz))
+        self.delay = round(config.feedback_delay_ms * 1e-3 * sample_rate_hz)
+        self.first_sample = round(config.start_s * sample_rate_hz) // self.block * self.block
+        self.next_sample = self.first_sample
+        self.history = ImuHistory(config, grade, imu_rate_hz, sample_rate_hz)
+        self.timeline = MotionTimeline(self.delay)
+        self.book = SatelliteBook(config.elevation_mask_deg, sample_rate_hz)
+        self._pvts: list[Pvt] = []
+        self._through = dict.fromkeys(("samples", "imu", "motion", "pvt"), -1)
+
+    def push_imu(self, sample: ImuSample) -> None:
+        """Take an IMU sample, in any order."""
+        self.history.push(sample)
+
+    def push_pvt(self, pvt: Pvt) -> None:
+        """Take a position, in any order."""
+        insort(self._pvts, pvt, key=_sample_index)
+
+    def push_motion(self, state: MotionState) -> None:
+        """Take a decision on motion, in any order."""
+        self.timeline.push(state)
+
+    def push_ephemeris(self, ephemeris: Ephemeris) -> None:
+        """Take an ephemeris, in any order; it counts from its effective sample on."""
+        self.book.push(ephemeris)
+
+    def source_valid(self, through: int) -> None:
+        """Note that the source has announced samples up to ``through``."""
+        self._valid("samples", through)
+
+    def imu_valid(self, through: int) -> None:
+        """All IMU samples up to ``through`` have been pushed."""
+        self._valid("imu", through)
+
+    def motion_valid(self, through: int) -> None:
+        """All that is decided on motion through ``through`` has been pushed."""
+        self._valid("motion", through)
+
+    def pvt_valid(self, through: int) -> None:
+        """All positions, and ephemerides, up to ``through`` have been pushed."""
+        self._valid("pvt", through)
+
+    def waiting_for(self) -> str:
+        """Name what the next span waits for: samples, imu, motion, pvt or nothing."""
+        return next(iter(self.lacking()), "")
+
+    def lacking(self) -> list[str]:
+        """Name all that the next span lacks."""
+        begin = self.next_sample
+        needed = {"samples": begin, "imu": begin + self.block, "motion": begin}
+        if begin - self.delay >= self.first_sample:
+            needed["pvt"] = begin - self.delay
+        return [what for what, sample in needed.items() if self._through[what] < sample]
+
+    def due_pvts(self, horizon: int) -> list[Pvt]:
+        """Return positions up to a sample that have not been returned yet, in order."""
+        count = bisect_right(self._pvts, horizon, key=_sample_index)
+        due = self._pvts[:count]
+        del self._pvts[:count]
+        return due
+
+    def _valid(self, what: str, through: int) -> None:
+        self._through[what] = max(self._through[what], through)

@@ -1,0 +1,140 @@
+"""The start of a surveyed station: place, attitude, gyro biases from its first still seconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepseis_core.errors import InputError
+from deepseis_core.geodesy import ecef_from_enu, geodetic_from_ecef, rotation_enu_ecef
+from deepseis_core.imu_grades import ImuGrade
+from deepseis_core.rotation import (
+    enu_flu_from_ned_frd,
+    euler_from_matrix,
+    flu_from_frd,
+    matrix_from_quat,
+    ned_frd_from_enu_flu,
+    quat_from_matrix,
+)
+from deepseis_core.types import FloatArray, Station
+from deepseis_ins.alignment import Alignment, Still, gyro_bias, gyrocompassed, levelled
+from deepseis_ins.fusion_config import FusionConfig
+from deepseis_ins.loose import LooseConfig, LooseFilter
+from deepseis_ins.strapdown import NavState
+
+_DISAGREEMENT = 5.0
+"""Times sigma: a surveyed orientation so far from the vertical is not believed."""
+
+
+@dataclass(frozen=True)
+class Site:
+    """A station's survey in the filter's axes.
+
+    Attributes
+    ----------
+    monument_ecef : ndarray, shape (3,)
+        [m]
+    C_enu_e : ndarray, shape (3, 3)
+        Axes at the monument.
+    antenna_enu : ndarray, shape (3,)
+        From monument to antenna while nothing has moved [m].
+    lever_arm_b : ndarray, shape (3,)
+        From IMU to antenna, forward-right-down [m].
+    C_nb : ndarray, shape (3, 3) or None
+        How the IMU stands; None: not surveyed.
+    """
+
+    monument_ecef: FloatArray
+    C_enu_e: FloatArray
+    antenna_enu: FloatArray
+    lever_arm_b: FloatArray
+    C_nb: FloatArray | None
+
+    @classmethod
+    def of(cls, station: Station) -> Site:
+        """Take a station's metadata apart; an orientation of zeros is none.
+
+        Raises
+        ------
+        InputError
+            They make no sense.
+        """
+        name = f"station {station.name}"
+        monument = np.asarray(station.monument_ecef, np.float64)
+        quat = np.asarray(station.imu_orientation_xyzw, np.float64)
+        arms = np.hstack([station.antenna_lever_arm, station.imu_to_antenna])
+        if monument.shape != (3,) or not 6.3e6 < np.linalg.norm(monument) < 6.5e6:
+            raise InputError(name, f"monument {monument} is not on Earth", "ECEF [m]")
+        norm = float(np.linalg.norm(quat))
+        if quat.shape != (4,) or not (norm == 0.0 or abs(norm - 1.0) < 1e-3):
+            raise InputError(name, f"orientation {quat} is no attitude", "x, y, z, w, length 1")
+        if arms.shape != (6,) or not np.all(np.abs(arms) < 1e3):
+            raise InputError(name, "a lever arm is not three numbers below a kilometre")
+        latitude, longitude, _ = geodetic_from_ecef(monument)
+        return cls(
+            monument,
+            rotation_enu_ecef(latitude, longitude),
+            arms[:3],
+            flu_from_frd(arms[3:]),
+            ned_frd_from_enu_flu(matrix_from_quat(quat / norm)) if norm else None,
+        )
+
+    def imu_geodetic(self, C_nb: FloatArray) -> FloatArray:
+        """Return where the IMU is while nothing has moved [rad, rad, m]."""
+        lever_enu = enu_flu_from_ned_frd(C_nb) @ flu_from_frd(self.lever_arm_b)
+        return geodetic_from_ecef(ecef_from_enu(self.antenna_enu - lever_enu, self.monument_ecef))
+
+
+def align(
+    config: FusionConfig, grade: ImuGrade, site: Site, still: Still
+) -> tuple[Alignment, bool]:
+    """Return the attitude, and whether the survey had to be corrected.
+
+    Without a survey gyroscopes find north. A survey that the vertical contradicts gives the
+    heading alone.
+
+    Raises
+    ------
+    InputError
+        The IMU is not at rest, or its gyroscopes are not good enough to find north.
+    """
+    latitude, _, height = (float(value) for value in geodetic_from_ecef(site.monument_ecef))
+    if site.C_nb is None:
+        return gyrocompassed(still, latitude, height, grade), False
+    heading_sd = np.radians(config.heading_sd_deg)
+    heading = float(euler_from_matrix(site.C_nb)[2])
+    level = levelled(still, heading, heading_sd, latitude, height, grade)
+    level_sd = np.radians(config.level_sd_deg)
+    # Down of the body's axes is what levelling finds, whatever the heading.
+    apart = np.linalg.norm(np.cross(site.C_nb[2], level.C_nb[2]))
+    opposite = site.C_nb[2] @ level.C_nb[2] < 0.0
+    if opposite or apart > _DISAGREEMENT * np.hypot(level_sd, level.sd[:2].max()):
+        return level, True
+    surveyed_sd = np.array([level_sd, level_sd, heading_sd])
+    return Alignment(quat_from_matrix(site.C_nb), np.diag(surveyed_sd**2)), False
+
+
+def start_filter(
+    config: FusionConfig,
+    loose: LooseConfig,
+    grade: ImuGrade,
+    site: Site,
+    still: Still,
+) -> tuple[LooseFilter, bool]:
+    """Make the filter of a station that has stood still; see `align`."""
+    alignment, corrected = align(config, grade, site, still)
+    latitude, longitude, height = (float(v) for v in site.imu_geodetic(alignment.C_nb))
+    bias = gyro_bias(still, alignment, latitude, grade)
+    nav = NavState(latitude, longitude, height, np.zeros(3), alignment.quat_nb)
+    filter = LooseFilter(
+        loose,
+        grade,
+        nav,
+        attitude_sd=alignment.covariance,
+        position_sd=[config.monument_sd] * 3,
+        velocity_sd=[config.still_velocity_sd] * 3,
+        gyro_bias=bias.value,
+        gyro_bias_sd=bias.sd,
+    )
+    return filter, corrected

@@ -1,0 +1,197 @@
+"""Node: fuses IMU and GNSS, and tells the tracking loops the Doppler of the motion."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from sensor_msgs.msg import Imu
+
+from deepseis_core.config import setting
+from deepseis_core.imu_grades import grade_named
+from deepseis_core.imu_message import decode_imu
+from deepseis_core.rinex_nav import read_rinex_nav
+from deepseis_core.ros import codecs, diagnostics, qos
+from deepseis_core.ros.cdr import encode_message
+from deepseis_core.ros.codecs import subscribe
+from deepseis_core.ros.counted import CountedInput
+from deepseis_core.ros.flow import Flow, FlowConfig
+from deepseis_core.ros.main import Process, run
+from deepseis_core.ros.odometry import odometry_from_solution
+from deepseis_core.ros.parameters import declare, reject_unknown
+from deepseis_core.sample_clock import SampleClock
+from deepseis_core.types import Ephemeris, MotionState, Pvt, Station
+from deepseis_ins.fusion_config import FusionConfig
+from deepseis_ins.fusion_engine import FusionEngine
+from deepseis_ins.fusion_output import FusionOutput, FusionStatus
+from deepseis_ins.loose import LooseConfig
+from deepseis_msgs.msg import DopplerAiding, InsSolution, Watermark
+
+FOLLOWED = ("if_source", "imu_source", "motion_state", "pvt")
+LEVELS = {FusionStatus.RUNNING: diagnostics.OK, FusionStatus.IMU_LOST: diagnostics.ERROR}
+
+
+@dataclass(frozen=True)
+class NodeConfig:
+    """The node's place in the graph, and the station."""
+
+    satellites: list[str] = setting([], "satellites to aid; empty: all [-]")
+    sample_rate_hz: float = setting(4e6, "IF sampling rate [Hz]", low=1e5)
+    start_utc_ns: int = setting(0, "UTC of sample 0 [ns since 1970]")
+    imu_rate_hz: float = setting(200.0, "IMU samples a second [Hz]", low=10.0, high=2000.0)
+    imu_grade: str = setting("span-fsas", "grade of the IMU (deepseis_core.imu_grades) [-]")
+    monument_ecef: list[float] = setting([0.0, 0.0, 0.0], "where the IMU stands, ECEF [m]")
+    imu_to_antenna: list[float] = setting([0.0, 0.0, 0.0], "lever arm, forward, left, up [m]")
+    imu_orientation_xyzw: list[float] = setting(
+        [0.0, 0.0, 0.0, 1.0], "surveyed attitude, FLU to ENU; zeros: level it [-]"
+    )
+    nav_file: str = setting("", "RINEX navigation file: orbits before they are decoded [path]")
+    fusion_deadline_ms: float = setting(30.0, "realtime: wait so long for inputs [ms]", low=0)
+
+
+class FusionNode(Node):
+    """In: imu/data_raw, motion/state, gnss/pvt, gnss/ephemeris. Out: aiding/doppler, ins/*."""
+
+    def __init__(self, process: Process) -> None:
+        super().__init__("fusion")
+        self.flow = Flow(self, process, "fusion", declare(self, FlowConfig))
+        self.config = declare(self, NodeConfig)
+        fusion, loose = declare(self, FusionConfig), declare(self, LooseConfig)
+        reject_unknown(self)
+        config = self.config
+        self.engine = FusionEngine(
+            fusion,
+            grade_named(config.imu_grade),
+            config.sample_rate_hz,
+            self.station(),
+            config.imu_rate_hz,
+            loose=loose,
+        )
+        self.load_navigation()
+        self.clock = SampleClock(config.start_utc_ns, config.sample_rate_hz)
+        publish_on = self.flow.publish_on
+        self.aiding = publish_on("aiding/doppler", DopplerAiding, qos.STREAM)
+        self.solution = publish_on("ins/solution", InsSolution, qos.STREAM)
+        self.odometry = publish_on("ins/odometry", Odometry, qos.STREAM)
+        self.diagnostics = publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
+        self.inputs = {name: CountedInput() for name in FOLLOWED}
+        self.orbits = CountedInput()
+        self.second, self.progressed = -1, time.monotonic()
+        self.create_subscription(Imu, "imu/data_raw", self.on_imu, qos.STREAM, raw=True)
+        subscribe(self, codecs.MOTION_STATE, "motion/state", self.on_motion, qos.LATCHED)
+        subscribe(self, codecs.PVT, "gnss/pvt", self.on_pvt, qos.STREAM)
+        subscribe(self, codecs.EPHEMERIS, "gnss/ephemeris", self.on_ephemeris, qos.LATCHED)
+        self.flow.follow(FOLLOWED, self.on_watermark)
+        if not self.flow.lockstep:
+            self.create_timer(0.005, self.on_deadline)
+
+    def station(self) -> Station:
+        """Return the station as the parameters have it."""
+        config = self.config
+        return Station(
+            name=self.get_namespace().strip("/"),
+            network="",
+            monument_ecef=np.array(config.monument_ecef),
+            antenna_lever_arm=np.zeros(3),
+            imu_to_antenna=np.array(config.imu_to_antenna),
+            imu_orientation_xyzw=np.array(config.imu_orientation_xyzw),
+            imu=config.imu_grade,
+        )
+
+    def load_navigation(self) -> None:
+        """Preload orbits."""
+        if self.config.nav_file:
+            for ephemeris in read_rinex_nav(self.config.nav_file).ephemerides:
+                self.engine.push_ephemeris(ephemeris)
+
+    def on_imu(self, data: bytes) -> None:
+        """Take an IMU sample."""
+        self.engine.push_imu(decode_imu(data, self.clock)[0])
+        self.inputs["imu_source"].received()
+        self.work()
+
+    def on_motion(self, state: MotionState, _utc_ns: int) -> None:
+        """Take a decision on motion."""
+        self.engine.push_motion(state)
+        self.inputs["motion_state"].received()
+        self.work()
+
+    def on_pvt(self, pvt: Pvt, _utc_ns: int) -> None:
+        """Take a position."""
+        self.engine.push_pvt(pvt)
+        self.inputs["pvt"].received()
+        self.work()
+
+    def on_ephemeris(self, ephemeris: Ephemeris, _utc_ns: int) -> None:
+        """Take an orbit."""
+        self.engine.push_ephemeris(ephemeris)
+        self.orbits.received()
+        self.work()
+
+    def on_watermark(self, msg: Watermark) -> None:
+        """Take how far another node is."""
+        count = 0 if msg.node == "if_source" else msg.event_count
+        self.inputs[msg.node].announced(count, msg.valid_through)
+        if msg.node == "pvt":
+            self.orbits.announced(msg.ephemeris_count, msg.valid_through)
+        self.work()
+
+    def on_deadline(self) -> None:
+        """Realtime: do not wait longer for what is late."""
+        if time.monotonic() - self.progressed > 1e-3 * self.config.fusion_deadline_ms:
+            self.work(force=True)
+
+    def work(self, *, force: bool = False) -> None:
+        """Publish all spans that are due."""
+        engine, inputs = self.engine, self.inputs
+        engine.source_valid(inputs["if_source"].valid_through)
+        engine.imu_valid(inputs["imu_source"].valid_through + 1)
+        engine.motion_valid(inputs["motion_state"].valid_through)
+        engine.pvt_valid(min(inputs["pvt"].valid_through, self.orbits.valid_through))
+        while (output := engine.advance(force)) is not None:
+            self.publish(output)
+            self.progressed = time.monotonic()
+        source = self.flow.others.get("if_source")
+        if source is None or not source.end_of_stream or self.flow.ended:
+            return
+        if engine.valid_through >= source.valid_through:
+            self.flow.finish()
+
+    def publish(self, output: FusionOutput) -> None:
+        """Publish a span."""
+        through = self.engine.valid_through
+        first = self.clock.utc_ns(output.aiding.knot_sample_index)
+        self.aiding.publish(codecs.DOPPLER_AIDING.encode(output.aiding, first))
+        solution = output.solution
+        if len(solution.sample_index):
+            utc_ns = self.clock.utc_ns(int(solution.sample_index[0]))
+            self.solution.publish(codecs.INS_SOLUTION.encode(solution, utc_ns, "map"))
+            utc_ns = self.clock.utc_ns(int(solution.sample_index[-1]))
+            self.odometry.publish(encode_message(odometry_from_solution(solution, utc_ns)))
+        self.report(output, through)
+        self.flow.send(through, through, utc_ns=self.clock.utc_ns(through))
+
+    def report(self, output: FusionOutput, through: int) -> None:
+        """Publish the counters, once a second of samples and when the status changes."""
+        second = int(through / self.clock.sample_rate_hz)
+        if second > self.second:
+            self.second = second
+            level = LEVELS.get(output.status, diagnostics.WARN)
+            values = self.engine.statistics
+            utc_ns = self.clock.utc_ns(through)
+            self.diagnostics.publish(
+                diagnostics.encoded("fusion", level, str(output.status), values, utc_ns)
+            )
+
+
+def main() -> None:
+    """Run the node."""
+    run(lambda process: process.add(FusionNode(process)), "fusion")
+
+
+if __name__ == "__main__":
+    main()
