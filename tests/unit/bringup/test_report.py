@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from deepseis_bringup import report, report_page
+from deepseis_bringup import report, report_document
 from deepseis_bringup.mcap_recording import BagWriter
 from deepseis_bringup.report_plot import envelope, with_breaks
 from deepseis_bringup.report_timeline import CODE, PHASE, PULL_IN, SEARCH, states, stretches
@@ -219,7 +219,7 @@ def test_summary_is_flat_json_with_numbers(run, written):
 def test_page_stands_alone_and_is_small(run, written):
     html = (run / "report.html").read_text(encoding="utf-8")
     assert len(html.encode()) < 8e6
-    own = html.replace(report_page._plotly(), "")
+    own = html.replace(report_document._plotly(), "")
     assert not re.search(r"""(?:src|href)\s*=|@import|url\(|https?://""", own)
     assert "A &lt;test&gt;" in own
     figures = json.loads(own.split('id="figures">')[1].split("</script>")[0])

@@ -81,6 +81,8 @@ def test_false_takes_an_optional_part_away():
         ("shapes:\n- {kind: box, sides: [1, 2, 3]}", 2, "has 3, not 2"),
         ("shapes:\n- {kind: box, sides: [1, -2]}", 2, "outside"),
         ("shapes: 3", 1, "not a list"),
+        ("shapes:\n- kind: [1]", 2, "of shapes is not known"),
+        ("text: [a]", 1, "no text"),
         ("part: 3", 1, "not a mapping"),
         ("count: 1\ncount: 2", 2, "given twice"),
         ("count: [", 1, "is not YAML"),
@@ -116,10 +118,20 @@ def test_a_bad_override_is_named(text):
         fill(Whole, override(base, text), KINDS)
 
 
+def test_aliases_that_multiply_are_refused_soon():
+    text = "a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]\n"
+    for k, name in enumerate("bcdefgh"):
+        text += f"{name}: &{name} [{', '.join(['*' + 'abcdefg'[k]] * 10)}]\n"
+    with pytest.raises(InputError, match="more than"):
+        read(text)
+
+
 @settings(max_examples=300, deadline=None)
 @given(st.text(max_size=200))
 def test_any_text_is_settings_or_one_line(text):
+    reason = ""
     try:
         read(text)
     except InputError as error:
-        assert len(str(error).splitlines()) <= 1
+        reason = str(error)
+    assert len(reason.splitlines()) <= 1

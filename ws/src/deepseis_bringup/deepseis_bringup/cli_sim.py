@@ -52,6 +52,7 @@ def sim(
       ./deepseis sim quake --set imu.grade=mti-g --seed 7
     """
     with one_line_errors():
+        from deepseis_core.errors import InputError
         from deepseis_sim.scenario import load_scenario, scenario_names
 
         if not scenario:
@@ -68,6 +69,8 @@ def sim(
         }
         settings += [f"{key}={_yaml(value)}" for key, value in given.items() if value is not None]
         loaded = load_scenario(scenario, short=short, settings=settings)
+        if raw and not loaded.signal:
+            raise InputError("--raw", f"{loaded.name} makes no samples", "add --if")
 
     def work(folder: Path) -> None:
         from deepseis_bringup.simulate import simulate

@@ -78,7 +78,9 @@ def new_run_folder(chosen: Path | None) -> Path:
         It exists and is not empty.
     """
     folder = chosen or Path("runs") / datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    if folder.exists() and not folder.is_dir():
+        raise InputError(folder, "is a file", "name a new folder with -o")
+    if folder.exists() and any(folder.iterdir()):
         raise InputError(folder, "exists and is not empty", "name a new folder with -o")
     return folder
 

@@ -1,9 +1,9 @@
 """Settings from YAML: frozen dataclasses filled from a file, complaints with file and line.
 
 A file's mapping fills a dataclass whose fields are declared by `deepseis_core.config.setting`;
-keys are the fields' names. A field may hold a number, text, true/false, a list of these, another such
-dataclass, or a list of them; where several kinds are possible the entry says ``kind: name``. What
-is left out keeps its default; ``false`` takes away an optional part.
+keys are the fields' names. A field may hold a number, text, true/false, a list of these, another
+such dataclass, or a list of them; where several kinds are possible the entry says ``kind: name``.
+What is left out keeps its default; ``false`` takes away an optional part.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import dataclasses
 import math
 import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,6 +27,8 @@ Kinds = Mapping[Any, Mapping[str, type]]
 
 LARGEST = 1_000_000
 _DEEPEST = 20
+_MOST = 100_000
+"""Values of one file, those that aliases repeat counted each time."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,7 +83,9 @@ def parse_yaml(text: str, name: object) -> Entry:
     try:
         loader = yaml.SafeLoader(text)
         node = loader.get_single_node()
-        entry = Entry({}, f"{name}:1") if node is None else _entry(loader, node, str(name), 0)
+        left = iter(range(_MOST))
+        first = Entry({}, f"{name}:1")
+        entry = first if node is None else _entry(loader, node, str(name), 0, left)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"{name}:{mark.line + 1}" if mark else str(name)
@@ -93,12 +97,16 @@ def parse_yaml(text: str, name: object) -> Entry:
     return entry
 
 
-def _entry(loader: yaml.SafeLoader, node: yaml.Node, name: str, depth: int) -> Entry:
+def _entry(
+    loader: yaml.SafeLoader, node: yaml.Node, name: str, depth: int, left: Iterator[int]
+) -> Entry:
     where = f"{name}:{node.start_mark.line + 1}"
     if depth > _DEEPEST:
         raise InputError(where, f"is nested deeper than {_DEEPEST}")
+    if next(left, None) is None:
+        raise InputError(where, f"holds more than {_MOST} values")
     if isinstance(node, yaml.SequenceNode):
-        return Entry([_entry(loader, item, name, depth + 1) for item in node.value], where)
+        return Entry([_entry(loader, item, name, depth + 1, left) for item in node.value], where)
     if isinstance(node, yaml.MappingNode):
         out: dict[str, Entry] = {}
         for key_node, value in node.value:
@@ -108,7 +116,7 @@ def _entry(loader: yaml.SafeLoader, node: yaml.Node, name: str, depth: int) -> E
                 raise InputError(at, "has a key that is no name")
             if key in out:
                 raise InputError(at, f"{key} is given twice")
-            out[key] = dataclasses.replace(_entry(loader, value, name, depth + 1), where=at)
+            out[key] = dataclasses.replace(_entry(loader, value, name, depth + 1, left), where=at)
         return Entry(out, where)
     return Entry(loader.construct_object(node), where)  # type: ignore[no-untyped-call]
 
@@ -239,13 +247,14 @@ def _one_of(choices: Mapping[str, type], entry: Entry, key: str, kinds: Kinds) -
     if "kind" not in values:
         raise InputError(entry.where, f"{key} has no kind", hint)
     named = values.pop("kind")
-    if named.value not in choices:
+    if not isinstance(named.value, str) or named.value not in choices:
         raise InputError(named.where, f"kind {named.plain()!r} of {key} is not known", hint)
     return fill(choices[named.value], Entry(values, entry.where), kinds)
 
 
 def _scalar(hint: Any, entry: Entry, key: str) -> Any:
-    value, wrong = entry.value, InputError(entry.where, f"{key} is {entry.plain()!r}, no number")
+    what = "no text" if hint is str else "no number"
+    value, wrong = entry.value, InputError(entry.where, f"{key} is {entry.plain()!r}, {what}")
     if hint is bool:
         if not isinstance(value, bool):
             raise InputError(entry.where, f"{key} is {entry.plain()!r}, not true or false")

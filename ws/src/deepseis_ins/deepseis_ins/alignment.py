@@ -24,7 +24,7 @@ from deepseis_core.rotation import (
     quat_from_matrix,
 )
 from deepseis_core.types import FloatArray
-from deepseis_ins.error_state import bias_model
+from deepseis_ins.error_state import bias_model, matrix_variance
 from deepseis_ins.nav_array import covariance, increments
 
 _MOVING = 0.05  # of gravity: a mean force this far from it is no stillness
@@ -187,7 +187,7 @@ def gyro_bias(still: Still, alignment: Alignment, latitude: float, grade: ImuGra
     turned = np.cross(np.eye(3), earth)
     by_attitude = np.diag(C_bn @ turned @ alignment.covariance @ turned.T @ C_bn.T)
     triad = grade.gyros
-    variance = _noise_variance(triad, still.duration) + _matrix_variance(triad, earth_b)
+    variance = _noise_variance(triad, still.duration) + matrix_variance(triad, earth_b)
     return Bias(still.omega_b - earth_b, np.sqrt(variance + by_attitude))
 
 
@@ -206,18 +206,12 @@ def _gravity(still: Still, latitude: float, height: float) -> float:
     return g
 
 
-def _matrix_variance(triad: TriadGrade, true_b: FloatArray) -> FloatArray:
-    """Return what scale factors and misalignments make of a vector, variances, shape (3,)."""
-    square = true_b**2
-    return triad.scale**2 * square + triad.misalignment**2 * (square.sum() - square)
-
-
 def _mean_covariance(
     triad: TriadGrade, duration: float, true_b: FloatArray, C_nb: FloatArray
 ) -> FloatArray:
     """Return the covariance along n of the error of a mean, shape (3, 3)."""
     variance = bias_model(triad).sd ** 2 + triad.walk**2 / duration
-    return C_nb @ np.diag(variance + _matrix_variance(triad, true_b)) @ C_nb.T
+    return C_nb @ np.diag(variance + matrix_variance(triad, true_b)) @ C_nb.T
 
 
 def _noise_variance(triad: TriadGrade, duration: float) -> float:

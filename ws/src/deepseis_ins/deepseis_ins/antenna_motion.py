@@ -31,7 +31,7 @@ from deepseis_ins.strapdown import Trajectory
 
 VELOCITY_POINTS = 6
 """Epochs that a polynomial of velocity goes through."""
-LEVER_POINTS = 4
+LEVER_POINTS = 3
 """The same of the lever arm, which is derived once more: fewer, for the noise of the gyros."""
 BEYOND_POINTS = 3
 """The same where a knot lies beyond the last epoch."""

@@ -7,7 +7,7 @@ POS    position, estimate minus truth [m]: metres of latitude, longitude, depth
 VEL    velocity, components of the estimate minus those of the truth [m/s]
 ATT    phi [rad]: the estimate is ``C_hat_nb = (I - [phi x]) C_nb``
 GYRO   bias of the gyroscopes not yet removed, b [rad/s]
-ACCEL  bias of the accelerometers not yet removed, b [m/s^2]
+ACCEL  bias of the accelerometers not yet removed, ``b + M f_ref`` [m/s^2]
 =====  =========================================================================
 
 Bias. A grade has a turn-on bias, constant with sd ``b0``, and an in-run one, Gauss-Markov with
@@ -21,7 +21,8 @@ Scale factors and misalignments are constants ``M`` that act with the motion: ``
 ``M omega`` in body axes. They are no states, and white noise cannot stand for them: what 300 ppm
 do to a shake of 2 g at 1 Hz is a velocity error of 1 mm/s that swings back, while noise
 accumulates. They are *considered* (`deepseis_core.kalman`): the covariance is exact for any
-motion, and no gain is spent on them.
+motion, and no gain is spent on them. What gravity makes of M, in the attitude of the start where
+``f_ref`` is felt, cannot be told from bias and counts as such; ``M (f - f_ref)`` is considered.
 
 With the error of the attitude that `zero_angle` refers to, which is estimated, they are the 21
 constants behind the states.
@@ -33,8 +34,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from deepseis_core.imu_grades import STANDARD_GRAVITY, ImuGrade, TriadGrade
+from deepseis_core.imu_grades import ImuGrade, TriadGrade
 from deepseis_core.rotation import matrix_from_quat
 from deepseis_core.types import FloatArray
 from deepseis_ins import error_state_kernels as kernels
@@ -57,37 +59,68 @@ CONSTANTS: Final = kernels.CONSTANTS
 
 @dataclass(frozen=True)
 class BiasModel:
-    """First-order Gauss-Markov process: standard deviation and correlation time [s]."""
+    """First-order Gauss-Markov processes: sd and correlation time [s] of three axes, (3,)."""
 
-    sd: float
-    correlation_time: float
+    sd: FloatArray
+    correlation_time: FloatArray
 
 
-def bias_model(triad: TriadGrade) -> BiasModel:
-    """Return the process that stands for turn-on and in-run bias together; see the module.
+def bias_model(triad: TriadGrade, constant: ArrayLike = 0.0) -> BiasModel:
+    """Return the processes that stand for turn-on and in-run bias together; see the module.
 
-    Gyroscopes feel the 1 g of gravity: what it makes of their sensitivity is constant, and
-    counts as turn-on bias. What shaking makes of it averages out.
+    Parameters
+    ----------
+    triad : TriadGrade
+    constant : array_like, shape () or (3,)
+        Variance of what else is constant.
     """
-    constant = triad.bias**2 + (triad.g_sensitivity * STANDARD_GRAVITY) ** 2
     wander = triad.instability**2
-    if wander == 0.0:
-        return BiasModel(constant**0.5, np.inf)
-    total = constant + wander
-    return BiasModel(total**0.5, triad.correlation_time * total / wander)
+    total = np.broadcast_to(triad.bias**2 + np.asarray(constant) + wander, (3,))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        time = np.where(wander > 0.0, triad.correlation_time * total / wander, np.inf)
+    return BiasModel(np.sqrt(total), time)
 
 
-def noise_model(grade: ImuGrade) -> FloatArray:
+def matrix_variance(triad: TriadGrade, true_b: FloatArray) -> FloatArray:
+    """Return what scale factors and misalignments make of a vector, variances, shape (3,)."""
+    square = true_b**2
+    return triad.scale**2 * square + triad.misalignment**2 * (square.sum() - square)
+
+
+def bias_models(grade: ImuGrade, force_ref_b: FloatArray) -> tuple[BiasModel, BiasModel]:
+    """Return those of gyroscopes and accelerometers under a steady force, shape (3,) [m/s^2].
+
+    Gyroscopes that are sensitive to it have a bias of it. What shaking makes of that averages
+    out: 1 deg/h/g at 2 g and 1 Hz is 1.5 urad.
+    """
+    felt = (grade.gyros.g_sensitivity**2) * float(force_ref_b @ force_ref_b)
+    accelerometers = grade.accelerometers
+    return (
+        bias_model(grade.gyros, felt),
+        bias_model(accelerometers, matrix_variance(accelerometers, force_ref_b)),
+    )
+
+
+def noise_model(grade: ImuGrade, force_ref_b: FloatArray) -> FloatArray:
     """Return the array of noise figures that the kernels want; offsets there."""
-    gyro, accel = bias_model(grade.gyros), bias_model(grade.accelerometers)
     model = np.zeros(kernels.MODEL_SIZE)
     model[kernels.GYRO_WALK2] = grade.gyros.walk**2
     model[kernels.ACCEL_WALK2] = grade.accelerometers.walk**2
-    model[kernels.GYRO_VARIANCE] = gyro.sd**2
-    model[kernels.GYRO_RATE] = 1.0 / gyro.correlation_time
-    model[kernels.ACCEL_VARIANCE] = accel.sd**2
-    model[kernels.ACCEL_RATE] = 1.0 / accel.correlation_time
+    for first, bias in zip((0, 3), bias_models(grade, force_ref_b), strict=True):
+        part = slice(kernels.BIAS_VARIANCE + first, kernels.BIAS_VARIANCE + first + 3)
+        model[part] = bias.sd**2
+        part = slice(kernels.BIAS_RATE + first, kernels.BIAS_RATE + first + 3)
+        model[part] = 1.0 / bias.correlation_time
+    model[kernels.FORCE_REF : kernels.FORCE_REF + 3] = force_ref_b
     return model
+
+
+def constants_block(force_ref_b: FloatArray) -> FloatArray:
+    """Return what ``M f_ref`` is of the constants, shape (3, 21)."""
+    block = np.zeros((3, CONSTANTS))
+    for i in range(3):
+        block[i, ACCEL_MATRIX.start + 3 * i : ACCEL_MATRIX.start + 3 * i + 3] = force_ref_b
+    return block
 
 
 def constants_covariance(grade: ImuGrade) -> FloatArray:
@@ -118,5 +151,6 @@ def dynamics(nav: NavState, force_n: FloatArray, grade: ImuGrade) -> FloatArray:
     C_nb = np.ascontiguousarray(matrix_from_quat(nav.quat_nb))
     force = np.ascontiguousarray(force_n, np.float64)
     vel_n = np.ascontiguousarray(nav.vel_n, np.float64)
-    kernels.dynamics_kernel(F, nav.latitude, nav.height, vel_n, force, C_nb, noise_model(grade))
+    model = noise_model(grade, np.zeros(3))
+    kernels.dynamics_kernel(F, nav.latitude, nav.height, vel_n, force, C_nb, model)
     return F

@@ -22,11 +22,10 @@ CONSTANTS = 21
 
 GYRO_WALK2 = 0  # [rad^2/s]
 ACCEL_WALK2 = 1  # [m^2/s^3]
-GYRO_VARIANCE = 2  # of the Gauss-Markov bias [rad^2/s^2]
-GYRO_RATE = 3  # inverse of its correlation time [1/s]
-ACCEL_VARIANCE = 4  # [m^2/s^4]
-ACCEL_RATE = 5
-MODEL_SIZE = 6
+BIAS_VARIANCE = 2  # of six Gauss-Markov processes [rad^2/s^2, m^2/s^4]
+BIAS_RATE = 8  # inverses of their correlation times [1/s]
+FORCE_REF = 14  # three: the specific force whose share of M counts as bias [m/s^2]
+MODEL_SIZE = 17
 
 _GRAVITY_FLATTENING = 0.0053024  # [-] of the gravity formula 1980: its slope along a meridian
 
@@ -121,9 +120,8 @@ def dynamics_kernel(F, latitude, height, v, force, C, model):  # type: ignore[no
             F[3 + i, 12 + j] = C[i, j]
     inertial = earth[0] + over[0], earth[1] + over[1], earth[2] + over[2]
     _subtract_skew(F, 6, 6, inertial)
-    for k in range(3):
-        F[9 + k, 9 + k] = -model[GYRO_RATE]
-        F[12 + k, 12 + k] = -model[ACCEL_RATE]
+    for k in range(6):
+        F[9 + k, 9 + k] = -model[BIAS_RATE + k]
 
 
 @njit(cache=True, nogil=True)
@@ -165,8 +163,8 @@ def _add_noise(P: FloatArray, model: FloatArray, t: float) -> None:
     for k in range(3):
         P[3 + k, 3 + k] += half * model[ACCEL_WALK2]
         P[6 + k, 6 + k] += half * model[GYRO_WALK2]
-        P[9 + k, 9 + k] += half * 2.0 * model[GYRO_VARIANCE] * model[GYRO_RATE]
-        P[12 + k, 12 + k] += half * 2.0 * model[ACCEL_VARIANCE] * model[ACCEL_RATE]
+    for k in range(6):
+        P[9 + k, 9 + k] += t * model[BIAS_VARIANCE + k] * model[BIAS_RATE + k]
 
 
 @njit(cache=True, nogil=True)
@@ -261,10 +259,10 @@ def covariance_kernel(P, U, B, model, x, v0, q0, angle_b, gain_b, t):  # type: i
     F, Phi, decay = np.zeros((STATES, STATES)), np.empty((MOVING, STATES)), np.empty(6)
     dynamics_kernel(F, latitude, height, v, force_n, C, model)
     _transition(F, t, Phi)
-    decay[:3] = math.exp(-t * model[GYRO_RATE])
-    decay[3:] = math.exp(-t * model[ACCEL_RATE])
+    for k in range(6):
+        decay[k] = math.exp(-t * model[BIAS_RATE + k])
     G = np.zeros((MOVING, CONSTANTS))
-    _drive(C, force_b, omega_b, force_n, t, G)
+    _drive(C, force_b - model[FORCE_REF : FORCE_REF + 3], omega_b, force_n, t, G)
 
     A, U1 = np.empty((STATES, STATES)), np.empty((STATES, CONSTANTS))
     _add_noise(P, model, t)

@@ -51,7 +51,7 @@ class FusionConfig:
         0.02, "random walk of the position's slow error [m/sqrt(s)]", low=0.0, high=10.0
     )
     velocity_noise_share: float = setting(
-        0.5, "velocity's noise as a part of its formal sigma [-]", low=0.0, high=10.0
+        0.4, "velocity's noise as a part of its formal sigma [-]", low=0.0, high=10.0
     )
     velocity_correlation_s: float = setting(0.0, "correlation time of it [s]", low=0.0, high=1e3)
     velocity_growth: float = setting(
@@ -61,7 +61,7 @@ class FusionConfig:
         5e-3, "the velocity's slow error, before it is known [m/s]", low=0.0, high=10.0
     )
     offset_correlation_s: float = setting(
-        60.0, "what is unknown of slow errors lasts so long [s]", low=0.0, high=1e5
+        10.0, "what is unknown of slow errors lasts so long [s]", low=0.0, high=1e5
     )
 
     missing_mean_s: float = setting(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 from numba import njit
 
 from deepseis_core.rotation import quat_multiply_kernel
-from deepseis_core.types import FloatArray
 from deepseis_ins.measurement_kernels import ecef_kernel, matrix_of, ned_from_ecef_kernel
 from deepseis_ins.strapdown_kernels import ATTITUDE, DELTA_THETA, POSITION, VELOCITY, step_kernel
 
@@ -56,9 +57,15 @@ def carry_on_kernel(x, bias, delta, dt, geodetic, vel_n, quat_nb, gained):  # ty
 
 
 @njit(cache=True, nogil=True)
-def orientation_kernel(quat_an: FloatArray, quat_nb: FloatArray, out: FloatArray) -> None:
-    """Fill attitudes of forward-left-up against axes ``a``; ``quat_nb`` forward-right-down."""
-    turn = quat_an[0], quat_an[1], quat_an[2], quat_an[3]
+def orientation_kernel(quat_ae, latitude, longitude, quat_nb, out):  # type: ignore[no-untyped-def]
+    """Fill attitudes of forward-left-up against axes ``a`` that are fixed to the Earth.
+
+    ``quat_nb``, (n, 4), are of forward-right-down against north, east, down at a place.
+    """
+    east, down = 0.5 * longitude, -0.25 * math.pi - 0.5 * latitude
+    turn = quat_ae[0], quat_ae[1], quat_ae[2], quat_ae[3]
+    turn = quat_multiply_kernel(turn, (0.0, 0.0, math.sin(east), math.cos(east)))
+    turn = quat_multiply_kernel(turn, (0.0, math.sin(down), 0.0, math.cos(down)))
     for k in range(quat_nb.shape[0]):
         q = quat_nb[k, 0], quat_nb[k, 1], quat_nb[k, 2], quat_nb[k, 3]
         q = quat_multiply_kernel(turn, quat_multiply_kernel(q, (1.0, 0.0, 0.0, 0.0)))

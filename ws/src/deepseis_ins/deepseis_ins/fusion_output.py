@@ -24,7 +24,6 @@ from deepseis_ins.antenna_motion import KnotInterpolator, Nodes
 from deepseis_ins.delayed_filter import GnssUpdate
 from deepseis_ins.error_state import STATES
 from deepseis_ins.fusion_kernels import orientation_kernel
-from deepseis_ins.measurement_kernels import ned_from_ecef_kernel
 from deepseis_ins.strapdown import Trajectory
 
 CHILD_FRAME = "imu_link"
@@ -37,8 +36,6 @@ VECTORS = {
     "accelerometer_bias": 3,
 }
 """Of every epoch, and how many numbers they have."""
-_ENU_NED = np.array([0.5**0.5, 0.5**0.5, 0.0, 0.0])
-"""Quaternion of the exchange of axes; other signs than its own would jump."""
 INNOVATIONS = 6
 """Of an epoch of GNSS: position [m] and velocity [m/s], north, east, down."""
 
@@ -98,6 +95,7 @@ class SolutionWriter:
     ) -> None:
         self.monument_ecef, self.C_enu_e = monument_ecef, C_enu_e
         self.interpolator = interpolator
+        self._quat_enu_e = quat_from_matrix(C_enu_e)
 
     def empty(self, valid_through: int) -> InsSolution:
         """Return a solution without epochs."""
@@ -142,7 +140,9 @@ class SolutionWriter:
         sample_index = nodes.sample_index[last]
         acceleration = self.interpolator.rate(nodes.sample_index, nodes.velocity, sample_index)
         position = nodes.position[last] + (nodes.origin - self.monument_ecef)
-        gyro_bias, accelerometer_bias = (np.tile(flu_from_frd(bias), (n, 1)) for bias in biases)
+        gyro_bias, accelerometer_bias = (
+            np.repeat(flu_from_frd(bias)[None], n, axis=0) for bias in biases
+        )
         values = (
             position @ self.C_enu_e.T,
             nodes.velocity[last] @ self.C_enu_e.T,
@@ -152,17 +152,15 @@ class SolutionWriter:
             accelerometer_bias,
         )
         vectors = dict(zip(VECTORS, values, strict=True))
-        sds = np.tile(sd.astype(np.float32), (n, 1))
+        sds = np.repeat(sd.astype(np.float32)[None], n, axis=0)
         return self._solution(valid_through, sample_index, tow_ns, week, vectors, sds, updates)
 
     def _orientation(self, trajectory: Trajectory, last: slice) -> FloatArray:
         """Return the attitude against the monument's axes; local ones are those of the end."""
         latitude, longitude, _ = trajectory.geodetic[-1]
-        turn = quat_from_matrix(self.C_enu_e @ ned_from_ecef_kernel(latitude, longitude).T)
-        turn *= 1.0 if turn @ _ENU_NED > 0.0 else -1.0
         quat_nb = trajectory.quat_nb[last]
         out = np.empty(quat_nb.shape)
-        orientation_kernel(turn, quat_nb, out)
+        orientation_kernel(self._quat_enu_e, latitude, longitude, quat_nb, out)
         return out
 
     def _solution(

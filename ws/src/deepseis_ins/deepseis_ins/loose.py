@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from deepseis_core.config import check, setting
 from deepseis_core.errors import InputError
+from deepseis_core.geodesy import normal_gravity
 from deepseis_core.imu_grades import ImuGrade
 from deepseis_core.kalman import chi_square_limit, correct_kernel, innovation_kernel
 from deepseis_core.rotation import matrix_from_quat
@@ -31,7 +32,8 @@ from deepseis_ins.error_state import (
     REFERENCE,
     STATES,
     VEL,
-    bias_model,
+    bias_models,
+    constants_block,
     constants_covariance,
     noise_model,
 )
@@ -116,7 +118,8 @@ class LooseFilter:
     gyro_bias, accel_bias : array_like, shape (3,)
         Forward-right-down [rad/s, m/s^2].
     gyro_bias_sd, accel_bias_sd : array_like, shape (3,), optional
-        What is unknown of them; without, all that the grade says.
+        What is unknown of them; without, all that the grade says. The latter is of bias and
+        what gravity makes of scale factors and misalignments together.
 
     Notes
     -----
@@ -126,7 +129,8 @@ class LooseFilter:
     --------
     A unit at rest for a second, its bias unknown:
 
-    >>> from deepseis_core.imu_grades import grade_named
+    >>> from deepseis_core.geodesy import normal_gravity
+    from deepseis_core.imu_grades import grade_named
     >>> start = NavState(0.6, 2.4, 50.0, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
     >>> filter = LooseFilter(
     ...     LooseConfig(), grade_named("span-fsas"), start, attitude_sd=[1e-3] * 3,
@@ -160,17 +164,17 @@ class LooseFilter:
         self.config, self.grade = config, grade
         self._x = pack(nav)
         self._bias = np.hstack([vector("gyro bias", gyro_bias), vector("accel bias", accel_bias)])
-        self._model, self._B = noise_model(grade), constants_covariance(grade)
+        force_ref_b = _force_at_rest(nav)
+        self._model, self._B = noise_model(grade, force_ref_b), constants_covariance(grade)
         self._P, self._U = np.zeros((STATES, STATES)), np.zeros((STATES, CONSTANTS))
-        if gyro_bias_sd is None:
-            gyro_bias_sd = bias_model(grade.gyros).sd
-        if accel_bias_sd is None:
-            accel_bias_sd = bias_model(grade.accelerometers).sd
+        gyro, accel = bias_models(grade, force_ref_b)
         self._P[POS, POS] = covariance("position", position_sd)
         self._P[VEL, VEL] = covariance("velocity", velocity_sd)
         self._P[ATT, ATT] = covariance("attitude", attitude_sd)
-        self._P[GYRO, GYRO] = covariance("gyro bias", gyro_bias_sd)
-        self._P[ACCEL, ACCEL] = covariance("accel bias", accel_bias_sd)
+        self._P[GYRO, GYRO] = covariance("gyro bias", _given(gyro_bias_sd, gyro.sd))
+        self._P[ACCEL, ACCEL] = covariance("accel bias", _given(accel_bias_sd, accel.sd))
+        if accel_bias_sd is None:
+            self._U[ACCEL] = constants_block(force_ref_b) @ self._B
         self._pending = np.zeros(kernels.PENDING_SIZE)
         kernels.begin_kernel(self._x, self._pending)
         self._limit = (
@@ -365,3 +369,13 @@ class LooseFilter:
     def _part(self, P: FloatArray) -> None:
         self._P, self._U = P[:STATES, :STATES].copy(), P[:STATES, STATES:].copy()
         self._B = P[STATES:, STATES:].copy()
+
+
+def _given(sd: ArrayLike | None, otherwise: FloatArray) -> ArrayLike:
+    return otherwise if sd is None else sd
+
+
+def _force_at_rest(nav: NavState) -> FloatArray:
+    """Return the specific force, body [m/s^2], that holds against gravity."""
+    gravity = float(normal_gravity(nav.latitude, nav.height))
+    return -gravity * matrix_from_quat(nav.quat_nb)[2]

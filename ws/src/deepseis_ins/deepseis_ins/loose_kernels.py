@@ -12,7 +12,7 @@ from numba import njit
 
 from deepseis_core.rotation import quat_from_rotvec_kernel, quat_multiply_kernel
 from deepseis_core.types import FloatArray
-from deepseis_ins.error_state_kernels import ACCEL_RATE, GYRO_RATE, covariance_kernel
+from deepseis_ins.error_state_kernels import BIAS_RATE, covariance_kernel
 from deepseis_ins.strapdown_kernels import (
     ATTITUDE,
     DELTA_THETA,
@@ -49,9 +49,8 @@ def complete_kernel(x, bias, pending, P, U, B, model):  # type: ignore[no-untype
     The biases' estimates fade as their processes do.
     """
     if pending[TIME] > 0.0:
-        for k in range(3):
-            bias[k] *= math.exp(-pending[TIME] * model[GYRO_RATE])
-            bias[3 + k] *= math.exp(-pending[TIME] * model[ACCEL_RATE])
+        for k in range(6):
+            bias[k] *= math.exp(-pending[TIME] * model[BIAS_RATE + k])
         covariance_kernel(
             P,
             U,

@@ -19,6 +19,7 @@ FAST: Final = "fast"
 _MODES = {MotionKind.STATIC: 1, MotionKind.MOVING: 0, MotionKind.UNKNOWN: -1}
 _TRIADS = ("gyros", "accelerometers")
 _NEVER = 2**62
+_LARGEST = 1e9
 
 
 @dataclass(frozen=True)
@@ -211,7 +212,8 @@ class FastRule:
 
     def _decision(self, number: int, tail: FloatArray, cause: str) -> MotionDecision:
         rest = self._rest if self.state == MotionKind.MOVING else self._baseline
-        square = (tail - np.where(np.isnan(rest), self._baseline, rest)) ** 2
+        away = tail - np.where(np.isnan(rest), self._baseline, rest)
+        square = np.clip(away, -_LARGEST, _LARGEST) ** 2
         known = np.isfinite(square)
         variance = np.where(known, square, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
         limit = self.limits.energy[1, 0] / self.limits.energy_lengths[0]

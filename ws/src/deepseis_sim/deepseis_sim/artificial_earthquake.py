@@ -272,7 +272,8 @@ def _settled(start: float, acceleration: FloatArray) -> UniformSpline:
     pulses = np.stack([(x * (1.0 - x)) ** 3, (x * (1.0 - x)) ** 3 * (x - 0.5)], axis=1)
     effect = _final(pulses, step)
     for _ in range(2):
-        acceleration = acceleration - pulses @ np.linalg.solve(effect, _final(acceleration, step))
+        amounts = np.linalg.solve(effect, _final(acceleration, step))
+        acceleration = acceleration - np.einsum("ni,ik->nk", pulses, amounts)
     return UniformSpline.from_acceleration(start, step, acceleration)
 
 

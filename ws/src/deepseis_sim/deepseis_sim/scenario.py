@@ -38,6 +38,8 @@ from deepseis_sim.position_errors import PositionErrorConfig
 from deepseis_sim.sky import SkyConfig
 
 FOLDER: Final = Path(str(files("deepseis_sim"))) / "scenarios"
+HALF_LOBE_HZ: Final = 0.5e6
+"""This much beside its middle frequency a signal needs at least."""
 DATA_VARIABLE: Final = "DEEPSEIS_DATA"
 """Environment variable: the folder in which the papers' scenarios look for recordings."""
 
@@ -210,9 +212,14 @@ def _fill(tree: Entry) -> Scenario:
     scenario = fill(Scenario, tree, {MotionConfig: MOTION_KINDS})
     where = tree.value.get("receiver", tree).where
     try:
-        scenario.receiver.format  # noqa: B018
+        packing = scenario.receiver.format
     except InputError as error:
         raise InputError(where, f"if_format: {error}") from None
+    middle, rate = scenario.receiver.intermediate_frequency_hz, scenario.receiver.sample_rate_hz
+    low, high = (0.0 if packing.is_real else -rate / 2), rate / 2
+    if scenario.signal and not low + HALF_LOBE_HZ <= middle <= high - HALF_LOBE_HZ:
+        reason = f"a signal at {middle:g} Hz does not fit into {low:g} to {high:g} Hz"
+        raise InputError(where, reason, "set intermediate_frequency_hz (--if-hz)")
     return scenario
 
 

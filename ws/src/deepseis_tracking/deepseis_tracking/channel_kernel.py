@@ -28,6 +28,7 @@ LONGEST_WAIT_S = 64.0
 """Before aiding that has misled again and again is tried once more [s]."""
 TRUSTED_S = 10.0
 """Aiding that has served so long has not failed "again" [s]."""
+SLIP_MEAN_S = 0.02
 CARRIER_TO_CODE = CA_RATE_CPS / L1_HZ
 
 
@@ -52,6 +53,7 @@ def _start_mode(state: Any, mode: int) -> None:
         state.bit_energy[:] = 0.0
     if mode == TRACK:
         state.narrow = 0
+        state.mean_error = 0.0
         state.lock_num = 0.0
         state.lock_den = 0.0
         state.phase_lock = 0
@@ -121,7 +123,9 @@ def _after_integration(
         gains = config.aided_gains if narrow else config.track_gains
         filter_carrier(state, error, gains[0], gains[1], gains[2], period)
         state.code_slope = config.dll_gain * code_error
-        if abs(error) > 0.2 and state.phase_lock == 1:
+        # A mean over 20 ms: shorter integrations are noisier than the limit.
+        state.mean_error += min(1.0, period / SLIP_MEAN_S) * (error - state.mean_error)
+        if abs(state.mean_error) > 0.2 and state.phase_lock == 1:
             state.pending_flags |= SLIP
     elif state.weak > 0:
         state.phase_lock = 0  # the phase turns: what looks like lock is none

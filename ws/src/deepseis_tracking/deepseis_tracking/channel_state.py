@@ -23,6 +23,7 @@ STATE = np.dtype(
         ("slope_before", "f8"),  # the same before the last update
         ("accel", "f8"),  # acceleration integrator [Hz/s]
         ("code_slope", "f8"),  # DLL output [chips/s]
+        ("mean_error", "f8"),  # carrier error, mean over 20 ms [cycles]
         ("last_i", "f8"),
         ("last_q", "f8"),
         ("lock_num", "f8"),  # filtered I^2 - Q^2
