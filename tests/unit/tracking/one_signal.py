@@ -62,10 +62,10 @@ class Signal:
         )  # fmt: skip
 
 
-def track(signal, seconds, config=None, aiding=None, blocks_at_once=1):
+def track(signal, seconds, config=None, aiding=None, blocks_at_once=1, result=None):
     """Track through a window; returns the channel and all its epochs."""
     channel = Channel("G07", RATE, config or TrackingConfig())
-    channel.hand_over(signal.result(), 0)
+    channel.hand_over(result or signal.result(), 0)
     window = BasebandWindow(BLOCK + 60_000)
     epochs = []
     for index in range(0, round(seconds / 0.02), blocks_at_once):

@@ -127,3 +127,62 @@ def test_switching_the_aiding_on_does_not_bump_the_phase():
     frequency = column(epochs, "carrier_doppler_hz")
     noise = np.std(np.diff(frequency[first - 8 : first - 1]))
     assert abs(frequency[first] - frequency[first - 1]) < 6 * noise
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_weak_signal_is_pulled_in_by_an_nco_that_runs_free(seed):
+    signal = Signal(cn0_dbhz=29.5, seed=seed)
+    result = dataclasses.replace(signal.result(-6.0 + 4.0 * seed), cn0_dbhz=29.0)
+    channel, epochs = track(signal, 3.5, result=result)
+    assert channel.mode == TrackingMode.TRACK
+    flags = column(epochs, "flags")[-50:]
+    assert ((flags & TrackingFlag.PHASE_LOCK) != 0).all()
+    pull_in = column(epochs, "sample_count") < 0.015 * RATE
+    assert not (column(epochs, "flags")[pull_in] & TrackingFlag.PHASE_LOCK).any()
+    error = half_cycle_free(phase_error(signal, epochs)[-50:])
+    # 9 deg of noise at 15 Hz; 50 epochs scatter by 13 %
+    assert np.std(error) < 1.5 * np.sqrt(15 / 10**2.95 * (1 + 1 / (0.04 * 10**2.95))) / (2 * np.pi)
+
+
+def test_aiding_carries_a_weak_pull_in_through_motion():
+    signal = Signal(cn0_dbhz=31.0, motion=lambda t: circle(t + 10.0))
+    start = (signal.phase_cycles(1e-4) - signal.phase_cycles(-1e-4)) / 2e-4
+    result = dataclasses.replace(signal.result(), carrier_doppler_hz=start + 2.0, cn0_dbhz=31.0)
+    config = TrackingConfig(aided_bandwidth_hz=3.0)
+    channel, epochs = track(signal, 4.5, config, aiding_of(signal), result=result)
+    assert channel.mode == TrackingMode.TRACK_AIDED
+    error = half_cycle_free(phase_error(signal, epochs)[-75:])
+    assert np.std(error) < 1.5 * np.sqrt(3 / 10**3.1 * (1 + 1 / (0.04 * 10**3.1))) / (2 * np.pi)
+
+
+def test_the_hand_over_knows_how_the_doppler_has_grown_since_the_search():
+    signal = Signal(motion=lambda t: circle(t + 10.0))
+    channel, aid = Channel("G07", RATE), aiding_of(signal)
+    for block in range(14):
+        channel.aid(aid(block))
+
+    def doppler(t):
+        return (signal.phase_cycles(t + 1e-4) - signal.phase_cycles(t - 1e-4)) / 2e-4
+
+    found = dataclasses.replace(signal.result(), carrier_doppler_hz=doppler(0.0))
+    channel.hand_over(found, 13 * BLOCK)
+    assert abs(doppler(0.26) - doppler(0.0)) > 5.0
+    assert float(channel.state["nco_hz"]) == pytest.approx(doppler(0.26), abs=0.02)
+
+
+def test_short_integrations_do_not_take_noise_for_slips():
+    signal = Signal(cn0_dbhz=38.0)
+    _, epochs = track(signal, 4.0, TrackingConfig(integration_ms=1))
+    late = column(epochs, "sample_index") > 2.5 * RATE
+    assert (np.abs(column(epochs, "carrier_error_cycles")[late]) > 0.2).any()
+    assert not (column(epochs, "flags")[late] & TrackingFlag.SLIP).any()
+
+
+def test_without_relock_the_loop_is_left_to_itself():
+    """The papers' receivers show what a loop does that has lost the phase."""
+    signal = Signal(motion=lambda t: 4 * circle(t))
+    for relock_s, stays in ((0.0, True), (1.5, False)):
+        _, epochs = track(signal, 6.0, TrackingConfig(relock_s=relock_s))
+        late = column(epochs, "sample_index") > 3.3 * RATE
+        assert (column(epochs, "flags")[late] & TrackingFlag.PHASE_LOCK == 0).any()
+        assert (column(epochs, "sample_count")[late] > 0.015 * RATE).all() == stays

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from deepseis_core.errors import InputError
-from deepseis_core.types import AcquisitionResult, IfBlock, TrackingFlag, TrackingMode
+from deepseis_core.types import (
+    AcquisitionResult,
+    Aiding,
+    IfBlock,
+    TrackingFlag,
+    TrackingMode,
+)
 from deepseis_tracking import acquisition_engine
 from deepseis_tracking.acquisition import AcquisitionConfig, Detection
 from deepseis_tracking.acquisition_engine import AcquisitionEngine, RetryConfig
@@ -112,6 +118,28 @@ def test_aiding_is_waited_for_unless_forced():
     assert tracker.advance() is None
     assert tracker.advance(force=True) is not None
     assert tracker.counters["aid_missed"] == 1
+
+
+@pytest.mark.parametrize("size", [0, 1, 5])
+def test_aiding_whose_tables_do_not_fit_is_refused_not_stumbled_over(size):
+    tracker = engine(wait_acquisition=False, wait_aiding=True)
+    tracker.push_result(result(effective=0))
+    for index, table in enumerate((4, size)):
+        made = Aiding(
+            "fusion", index * COUNT, (index + 1) * COUNT - 1, True, index * COUNT, COUNT // 3, 4,
+            ("G05",), np.zeros(table), np.zeros(4), float("nan"), np.zeros(1, np.float32),
+        )  # fmt: skip
+        tracker.push_block(block(index))
+        tracker.push_aiding(made)
+        assert tracker.advance() is not None
+    assert tracker.health()[2]["aid_invalid"] == 1
+
+
+def test_a_search_that_does_not_fit_into_a_slot_is_refused():
+    with pytest.raises(InputError, match="slot"):
+        AcquisitionEngine(
+            SATELLITES, AcquisitionConfig(noncoherent_count=126), SlotConfig(), RetryConfig()
+        )
 
 
 class FakeAcquirer:

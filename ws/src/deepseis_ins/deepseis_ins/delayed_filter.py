@@ -5,7 +5,7 @@ regular samples and at the epochs of GNSS, in order:
 
 - at rest: zero velocity, zero turn and zero displacement since the rest began. GNSS is not used
   but compared with what is known: its slow errors are learnt (`gnss_offset`);
-- moving: GNSS without its slow errors.
+- moving, or not known to be at rest: GNSS without its slow errors.
 
 A snapshot is kept of every step. What turns out to have been wrong, because the motion began
 earlier than noticed or because something came late, is undone: back to the snapshot before it and
@@ -22,12 +22,12 @@ import numpy as np
 
 from deepseis_core.geodesy import ecef_from_geodetic, rotation_ned_ecef
 from deepseis_core.rotation import quat_rotate
-from deepseis_core.types import FloatArray, MotionKind, Pvt, PvtStatus
+from deepseis_core.types import FloatArray, Pvt, PvtStatus
 from deepseis_ins import measurements
 from deepseis_ins.error_state import POS
 from deepseis_ins.fusion_config import FusionConfig
 from deepseis_ins.gnss_offset import SlowError, position_error, velocity_error
-from deepseis_ins.imu_history import ImuHistory, RowFlag
+from deepseis_ins.imu_history import ImuHistory
 from deepseis_ins.loose import Innovation, LooseFilter
 from deepseis_ins.loose import Snapshot as FilterSnapshot
 from deepseis_ins.motion_timeline import MotionTimeline
@@ -194,8 +194,8 @@ class DelayedFilter:
                     self._constrain()
             elif still:
                 self._learn(pvt)
-            elif (update := self._use(pvt)) is not None:
-                updates.append(update)
+            else:
+                updates.append(self._use(pvt))
             self._steps.append(self._snapshot(sample, int(pvt is not None)))
         self._forget(horizon)
         return updates
@@ -218,16 +218,13 @@ class DelayedFilter:
         """Propagate to the end of a row."""
         if row <= self.row:
             return
-        history, config = self.history, self.config
+        history = self.history
         begin, end = self.row + 1, row + 1
         angle, velocity = history.increments(begin, end)
         self.filter.propagate(angle, velocity, history.dt)
-        missing = history.count(begin, end, RowFlag.MISSING) * history.dt
-        clipped = history.count(begin, end, RowFlag.CLIPPED) * history.dt
-        if missing or clipped:
-            walk2 = config.missing_walk**2 * missing + config.clipped_walk**2 * clipped
-            turn = np.radians(config.missing_angle_walk_deg) * missing**0.5
-            self.filter.widen(velocity_sd=walk2**0.5, attitude_sd=turn)
+        walk2, turn2 = history.unknown(begin, end)
+        if walk2 or turn2:
+            self.filter.widen(velocity_sd=walk2**0.5, attitude_sd=turn2**0.5)
         self.row = row
 
     def _settle(self, sample_index: int) -> bool:
@@ -270,9 +267,7 @@ class DelayedFilter:
                 seconds, pvt.velocity_ecef, np.zeros(3), pvt.velocity_covariance_ecef, dt
             )
 
-    def _use(self, pvt: Pvt) -> GnssUpdate | None:
-        if self.timeline.state(pvt.sample_index) == MotionKind.UNKNOWN:
-            return None
+    def _use(self, pvt: Pvt) -> GnssUpdate:
         seconds, dt = self._epoch(pvt)
         moved, gained = self._beyond(pvt.sample_index)
         fix = self.position.correct(

@@ -71,7 +71,10 @@ class FusionConfig:
         0.025, "late IMU data may be extrapolated so far [s]", low=0.0, high=0.5
     )
     missing_walk: float = setting(
-        3.0, "velocity random walk over missing data [m/s/sqrt(s)]", low=0.0, high=100.0
+        3.0, "velocity random walk over missing data [m/s/sqrt(s)]", low=1e-3, high=100.0
+    )
+    bridged_walk: float = setting(
+        0.1, "the same over a few missing between others [m/s/sqrt(s)]", low=0.0, high=100.0
     )
     missing_angle_walk_deg: float = setting(
         0.5, "angular random walk over missing data [deg/sqrt(s)]", low=0.0, high=90.0

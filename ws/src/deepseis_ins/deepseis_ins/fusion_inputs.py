@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from bisect import bisect_right, insort
+from dataclasses import replace
+
+import numpy as np
 
 from deepseis_core.imu_grades import ImuGrade
 from deepseis_core.types import Ephemeris, ImuSample, MotionState, Pvt
@@ -54,8 +57,13 @@ class FusionInputs:
         self.history.push(sample)
 
     def push_pvt(self, pvt: Pvt) -> None:
-        """Take a position, in any order."""
-        insort(self._pvts, pvt, key=_sample_index)
+        """Take a position, in any order; its covariances may be flat, as in a message."""
+        position, velocity = (
+            np.reshape(item, (3, 3))
+            for item in (pvt.position_covariance_ecef, pvt.velocity_covariance_ecef)
+        )
+        square = replace(pvt, position_covariance_ecef=position, velocity_covariance_ecef=velocity)
+        insort(self._pvts, square, key=_sample_index)
 
     def push_motion(self, state: MotionState) -> None:
         """Take a decision on motion, in any order."""

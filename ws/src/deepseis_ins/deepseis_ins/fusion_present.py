@@ -12,7 +12,6 @@ from deepseis_ins.antenna_motion import Nodes
 from deepseis_ins.delayed_filter import DelayedFilter
 from deepseis_ins.error_state import VEL
 from deepseis_ins.fusion_kernels import carry_on_kernel
-from deepseis_ins.imu_history import RowFlag
 from deepseis_ins.measurement_kernels import ned_from_ecef_kernel
 from deepseis_ins.strapdown import Trajectory
 
@@ -31,12 +30,15 @@ class Present:
         Sum of the velocity increments as measured, since the first epoch [m/s].
     covariance : ndarray, shape (15, 15)
         The filter's, and what IMU data that are missing since add.
+    lever_rate_variance : float
+        Of the velocity that white noise of the gyroscopes gives to the antenna [m^2/s^2].
     """
 
     trajectory: Trajectory
     nodes: Nodes
     gained_b: FloatArray
     covariance: FloatArray
+    lever_rate_variance: float
 
     @classmethod
     def of(cls, delayed: DelayedFilter, row: int, origin: FloatArray) -> Present:
@@ -63,17 +65,23 @@ class Present:
         )  # fmt: skip
         nodes = Nodes.of(history.indices(begin, end), trajectory, delayed.lever_arm_b, origin)
         covariance = delayed.covariance()
-        missing = history.count(begin + 1, end, RowFlag.MISSING) * history.dt
-        covariance[VEL, VEL] += delayed.config.missing_walk**2 * missing * np.eye(3)
-        return cls(trajectory, nodes, gained, covariance)
+        walk2, _ = history.unknown(begin + 1, end)
+        covariance[VEL, VEL] += walk2 * np.eye(3)
+        turn2 = filter.grade.gyros.walk**2 / history.dt
+        swing2 = turn2 * float(delayed.lever_arm_b @ delayed.lever_arm_b)
+        return cls(trajectory, nodes, gained, covariance, swing2)
 
     def velocity_sd(self) -> float:
         """Return the largest sigma of velocity [m/s]."""
         return float(np.sqrt(np.diag(self.covariance)[VEL].max()))
 
     def doppler_sd_hz(self, unit: FloatArray) -> Float32Array:
-        """Return one sigma of the Doppler, shape (n,), along lines of sight, ECEF, (n, 3)."""
+        """Return one sigma of the Doppler, shape (n,), along lines of sight, ECEF, (n, 3).
+
+        With what noise of the gyroscopes the lever arm makes of it; it lasts an interval.
+        """
         latitude, longitude, _ = self.trajectory.geodetic[-1]
         unit_n = unit @ ned_from_ecef_kernel(latitude, longitude).T
         variance = ((unit_n @ self.covariance[VEL, VEL]) * unit_n).sum(axis=1)
+        variance += self.lever_rate_variance
         return (np.sqrt(variance) / L1_WAVELENGTH).astype(np.float32)

@@ -42,6 +42,11 @@ class RowFlag(IntFlag):
 
     MISSING = 1
     CLIPPED = 2
+    BRIDGED = 4
+    """Made up between two samples that are there."""
+
+
+_MADE_UP = int(RowFlag.MISSING | RowFlag.BRIDGED)
 
 
 class ImuHistory:
@@ -74,6 +79,10 @@ class ImuHistory:
         self._to_increments = np.hstack([flu_from_frd(np.full(3, self.dt))] * 2)
         ranges = np.repeat([grade.gyros.range, grade.accelerometers.range], 3)
         self._limits = _AT_RANGE * self.dt * ranges
+        walks = np.array([config.missing_walk, config.clipped_walk, config.bridged_walk])
+        angle_walk = np.radians(config.missing_angle_walk_deg)
+        self._walk2: list[float] = (walks**2).tolist()
+        self._turn2 = float(angle_walk**2), float((angle_walk * walks[2] / walks[0]) ** 2)
         self._pending: list[ImuSample] = []
         self._index: IntArray = np.zeros(_ROWS, np.int64)
         self._delta: FloatArray = np.zeros((_ROWS, 6))
@@ -117,8 +126,8 @@ class ImuHistory:
         return self.first + int(np.searchsorted(held, sample_index, "right")) - 1
 
     def indices(self, begin: int, end: int) -> IntArray:
-        """Return the sample indices at the ends of rows."""
-        return self._index[begin - self.first : end - self.first]
+        """Return the sample indices at the ends of rows; the caller may keep them."""
+        return self._index[begin - self.first : end - self.first].copy()
 
     def increments(self, begin: int, end: int) -> tuple[FloatArray, FloatArray]:
         """Return angles [rad] and velocities [m/s] of rows, forward-right-down, (m, 3) each."""
@@ -126,7 +135,7 @@ class ImuHistory:
         return rows[:, :3], rows[:, 3:]
 
     def rows(self, begin: int, end: int) -> FloatArray:
-        """Return the same in one array, shape (m, 6)."""
+        """Return the same in one array, shape (m, 6); like them a view that soon changes."""
         return self._delta[begin - self.first : end - self.first]
 
     def count(self, begin: int, end: int, flag: RowFlag) -> int:
@@ -141,6 +150,18 @@ class ImuHistory:
     def restart(self) -> None:
         """Forget all rows; the next sample is the first again."""
         self.first, self.end, self._anchor = 0, 0, -1
+
+    def unknown(self, begin: int, end: int) -> tuple[float, float]:
+        """Return variances of velocity and attitude from what is not known of rows [m^2/s^2, rad^2]."""
+        missing, clipped, bridged = (
+            self.count(begin, end, flag) * self.dt
+            for flag in (RowFlag.MISSING, RowFlag.CLIPPED, RowFlag.BRIDGED)
+        )
+        walk2, turn2 = self._walk2, self._turn2
+        return (
+            walk2[0] * missing + walk2[1] * clipped + walk2[2] * bridged,
+            turn2[0] * missing + turn2[1] * bridged,
+        )
 
     def forget(self, before: int) -> None:
         """Drop rows before a number that nobody will ask for again."""
@@ -179,13 +200,16 @@ class ImuHistory:
         if number >= known:
             return None
         self.counts["late"] += 1
-        while number - 1 >= self.first and self._flags[number - 1 - self.first] & RowFlag.MISSING:
+        while number - 1 >= self.first and self._made_up(number - 1):
             number -= 1
         return number
 
+    def _made_up(self, number: int) -> bool:
+        return bool(self._flags[number - self.first] & _MADE_UP)
+
     def _place_late(self, number: int, sample: ImuSample, delta: FloatArray) -> int | None:
         row = number - self.first
-        if row < 0 or not self._flags[row] & RowFlag.MISSING:
+        if row < 0 or not self._made_up(number):
             self.counts["dropped"] += 1
             return None
         self.counts["late"] += 1
@@ -221,18 +245,19 @@ class ImuHistory:
         if count > self._short:
             rows = np.broadcast_to(self._mean(), (count, 6))
             made = known if known > self._short else 0  # those are such already
+            flags = RowFlag.MISSING
         elif following is None:
-            rows = np.broadcast_to(last, (count, 6))
+            rows, flags = np.broadcast_to(last, (count, 6)), RowFlag.MISSING
         else:
             share = np.arange(1, count + 1)[:, None] / (count + 1.0)
-            rows = last + share * (following - last)
+            rows, flags = last + share * (following - last), RowFlag.BRIDGED
         self.counts["missing"] += max(0, count - known)
         for k in range(made, count):
             index = start + int((k + 1) * self.step)
-            self._set(self._anchor + k + 1, index, rows[k], RowFlag.MISSING)
+            self._set(self._anchor + k + 1, index, rows[k], int(flags))
 
     def _mean(self) -> FloatArray:
         rows = slice(max(0, self._anchor + 1 - self._mean_rows - self.first), None)
         held = slice(rows.start, self._anchor + 1 - self.first)
-        there = (self._flags[held] & RowFlag.MISSING) == 0
+        there = (self._flags[held] & _MADE_UP) == 0
         return np.asarray(self._delta[held][there].mean(axis=0))

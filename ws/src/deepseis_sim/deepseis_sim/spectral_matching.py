@@ -336,8 +336,10 @@ def _real(rows: ComplexArray) -> Any:
 
 
 def _on_grid(rows: FloatArray) -> FloatArray:
-    """Round to multiples of 2^-24: products of rows are then exact in whatever order they are
-    added up, and a seed gives the same bytes with any number of threads.
+    """Round to multiples of 2^-24.
+
+    Products of rows are then exact in whatever order they are added up, so that a seed gives the
+    same bytes with any number of threads.
     """
     return np.ldexp(np.round(np.ldexp(rows, 24)), -24)
 

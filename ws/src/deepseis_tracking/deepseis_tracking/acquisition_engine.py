@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from deepseis_core.baseband import Baseband
 from deepseis_core.config import setting
+from deepseis_core.errors import InputError
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import AcquisitionResult, IfBlock
 from deepseis_tracking.acquisition import Acquirer, AcquisitionConfig, Detection
@@ -30,6 +31,11 @@ class AcquisitionEngine:
 
     The search for the hand-over at slot ``k`` uses samples from the start of slot
     ``k - latency_slots`` on and requests made before that.
+
+    Raises
+    ------
+    InputError
+        A search takes more signal than a slot has.
     """
 
     def __init__(
@@ -40,6 +46,13 @@ class AcquisitionEngine:
         retry: RetryConfig,
         forecast: Forecast | None = None,
     ) -> None:
+        stretch_ms = config.coherent_ms * config.noncoherent_count
+        if stretch_ms > slots.slot_ms:
+            raise InputError(
+                "acquisition",
+                f"{stretch_ms} ms of signal do not fit into a slot of {slots.slot_ms} ms",
+                "lower noncoherent_count or raise slot_ms",
+            )
         self.forecast = forecast
         self.clock: SampleClock | None = None
         self._windows: dict[str, tuple[float, float]] | None = None

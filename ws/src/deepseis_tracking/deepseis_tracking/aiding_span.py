@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from deepseis_core.types import Aiding, FloatArray
@@ -10,6 +12,16 @@ from deepseis_tracking.nco import aid_growth
 
 KEPT_S = 1.2
 """Of the past: longer than from the acquisition's samples to the hand-over, a slot later [s]."""
+
+REASONS = ("invalid", "uncertain", "stepped", "late", "diverged")
+"""Why aiding of a channel ends."""
+
+
+class AidLimits(NamedTuple):
+    """Beyond them aiding is not used [Hz]: its sigma, a step from one message to the next."""
+
+    sd_hz: float
+    step_hz: float
 
 
 class AidingSpan:
@@ -35,6 +47,7 @@ class AidingSpan:
         self.record["clock_hz"] = np.nan
         self.knots: FloatArray = np.zeros(0)
         self.rates: FloatArray = np.zeros(0)
+        self._stepped = False
 
     @property
     def valid(self) -> bool:
@@ -57,29 +70,39 @@ class AidingSpan:
             return 0.0
         return float(aid_growth(float(begin), float(end), aid, self.rates, self.sample_rate_hz))
 
-    def take(self, aiding: Aiding, satellite: str, sd_limit_hz: float) -> str:
+    def take(self, aiding: Aiding, satellite: str, limits: AidLimits, *, in_use: bool) -> str:
         """Append the satellite's knots of a message.
+
+        A step of the prediction ends aiding: the loop goes on at its frequency, and takes the new
+        prediction up from there as if aiding began.
+
+        Parameters
+        ----------
+        aiding : Aiding
+        satellite : str
+        limits : AidLimits
+        in_use : bool
+            The NCO still runs on the knots at hand.
 
         Returns
         -------
         str
-            Why aiding that was in use ends here: "invalid", "uncertain", or "" if it does not.
+            Why aiding that was valid ends here: one of `REASONS`, or "" if it does not.
         """
         was_valid = self.valid
-        reason = self._fault(aiding, satellite, sd_limit_hz)
-        if reason:
+        reason = self._fault(aiding, satellite, limits)
+        self._stepped = in_use and (self._stepped or reason == "stepped")
+        if reason or self._stepped:
             self.valid = False
             return reason if was_valid else ""
         row = aiding.satellites.index(satellite)
         self._append(aiding, aiding.carrier_doppler_hz[row], aiding.carrier_doppler_rate[row])
-        self.record["through"], self.record["clock_hz"] = (
-            aiding.valid_through,
-            aiding.clock_drift_hz,
-        )
+        self.record["through"] = aiding.valid_through
+        self.record["clock_hz"] = aiding.clock_drift_hz
         self.valid = True
         return ""
 
-    def _fault(self, aiding: Aiding, satellite: str, sd_limit_hz: float) -> str:
+    def _fault(self, aiding: Aiding, satellite: str, limits: AidLimits) -> str:
         if not aiding.valid or satellite not in aiding.satellites:
             return "invalid"
         if aiding.knot_count < 1 or aiding.knot_step_samples < 1:
@@ -88,7 +111,20 @@ class AidingSpan:
         for table in (aiding.carrier_doppler_hz, aiding.carrier_doppler_rate):
             if not np.isfinite(table[row]).all():
                 return "invalid"
-        return "" if aiding.doppler_sd_hz[row] <= sd_limit_hz else "uncertain"
+        if not aiding.doppler_sd_hz[row] <= limits.sd_hz:
+            return "uncertain"
+        step = aiding.carrier_doppler_hz[row][0] - self._predicted(aiding.knot_sample_index)
+        return "stepped" if self.valid and abs(step) > limits.step_hz else ""
+
+    def _predicted(self, sample: int) -> float:
+        """Doppler that the knots at hand have for a knot of the same grid [Hz]."""
+        if not len(self.knots):
+            return 0.0
+        aid = self.record[0]
+        place = (sample - int(aid["first"])) / int(aid["step"])
+        near = min(max(round(place), 0), len(self.knots) - 1)
+        span = (place - near) * int(aid["step"]) / self.sample_rate_hz
+        return float(self.knots[near] + span * self.rates[near])
 
     def _append(self, aiding: Aiding, knots: FloatArray, rates: FloatArray) -> None:
         """Join knots on to those at hand, if they lie on the same grid without a hole."""

@@ -20,7 +20,7 @@ from deepseis_core.types import (
     TrackingMode,
 )
 from deepseis_tracking import channel_kernel
-from deepseis_tracking.aiding_span import AidingSpan
+from deepseis_tracking.aiding_span import REASONS, AidingSpan, AidLimits
 from deepseis_tracking.baseband_window import BasebandWindow
 from deepseis_tracking.channel_state import CONFIG, EPOCH, EPOCH_FIELDS, STATE
 from deepseis_tracking.loop_filter import LoopGains, design_loop
@@ -87,6 +87,9 @@ class TrackingConfig:
     aid_sd_limit_hz: float = setting(
         5.0, "aiding whose one sigma is larger is not used [Hz]", low=0
     )
+    aid_step_limit_hz: float = setting(
+        5.0, "a larger step from one message to the next is not followed [Hz]", low=0
+    )
     max_extrapolation_s: float = setting(
         0.05, "aiding is extrapolated so far, then dropped [s]", low=0
     )
@@ -133,7 +136,7 @@ class Channel:
         self.aligned = np.zeros((64, 3), np.int64)
         self.history = np.zeros((self.config.weak_pull_in_ms, 2))
         self.aiding = AidingSpan(sample_rate_hz)
-        self.aid_dropped = dict.fromkeys(("invalid", "uncertain", "late", "diverged"), 0)
+        self.aid_dropped = dict.fromkeys(REASONS, 0)
         self.ephemeris_count = 0
         self.reference_week = reference_week
         self.decoder = LnavDecoder(satellite, reference_week)
@@ -222,7 +225,9 @@ class Channel:
 
     def aid(self, aiding: Aiding) -> None:
         """Take the aiding of the next block."""
-        reason = self.aiding.take(aiding, self.satellite, self.config.aid_sd_limit_hz)
+        limits = AidLimits(self.config.aid_sd_limit_hz, self.config.aid_step_limit_hz)
+        in_use = self.mode == TrackingMode.TRACK_AIDED
+        reason = self.aiding.take(aiding, self.satellite, limits, in_use=in_use)
         if reason:
             self.aid_dropped[reason] += 1
 

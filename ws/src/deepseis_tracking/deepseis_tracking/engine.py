@@ -24,6 +24,7 @@ from deepseis_core.types import (
     TrackingFlag,
     TrackingMode,
 )
+from deepseis_tracking.aiding_span import REASONS
 from deepseis_tracking.baseband_window import BasebandWindow
 from deepseis_tracking.channel import Channel, TrackingConfig
 
@@ -246,10 +247,7 @@ class TrackingEngine:
         channels = self.channels.values()
         values: dict[str, object] = dict(self.counters)
         values["lost"] = sum(c.lost for c in channels)
-        dropped = {
-            reason: sum(c.aid_dropped[reason] for c in channels)
-            for reason in ("invalid", "uncertain", "late", "diverged")
-        }
+        dropped = {reason: sum(c.aid_dropped[reason] for c in channels) for reason in REASONS}
         values |= {f"aid_{reason}": count for reason, count in dropped.items()}
         values["polarity_turns"] = sum(c.polarity_turns for c in channels)
         values["subframes"] = sum(c.subframes for c in channels)

@@ -1,0 +1,229 @@
+"""Runs of the fusion on the bench without samples and without ROS: IMU, positions, truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from deepseis_core.constants import L1_WAVELENGTH
+from deepseis_core.ephemeris import pack, states_from_pseudoranges
+from deepseis_core.imu_grades import ImuGrade, grade_named
+from deepseis_core.propagation import line_of_sight
+from deepseis_core.types import (
+    Ephemeris,
+    FloatArray,
+    ImuSample,
+    IntArray,
+    MotionKind,
+    MotionState,
+    Observations,
+    Pvt,
+    PvtStatus,
+)
+from deepseis_ins.fusion_config import FusionConfig
+from deepseis_ins.fusion_engine import FusionEngine
+from deepseis_ins.fusion_output import FusionOutput
+from deepseis_ins.motion_engine import MotionEngine, MotionEngineConfig
+from deepseis_ins.motion_state import MotionConfig
+from deepseis_pvt.spp import SppSolver
+from deepseis_sim.bench import Bench
+from deepseis_sim.bench_streams import ImuStream, ObservationStream
+from deepseis_sim.scenario import load_scenario
+
+EVERYTHING = 2**60
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What the fusion gets of a run."""
+
+    imu: Sequence[ImuSample]
+    pvt: Sequence[Pvt]
+    motion: Sequence[MotionState]
+
+
+class FusionBench:
+    """A scenario's IMU data and positions; motion is decided by the detector.
+
+    Parameters
+    ----------
+    name : str
+        Scenario; its short form.
+    grade : str
+        Of the IMU.
+    settings : str
+        As for `load_scenario`.
+    """
+
+    def __init__(self, name: str, grade: str = "span-fsas", *settings: str) -> None:
+        changes = [
+            f"imu.grade={grade}", "signal=false", "observations.rate_hz=10", *settings,
+        ]  # fmt: skip
+        self.bench = Bench(load_scenario(name, short=True, settings=changes))
+        self.grade: ImuGrade = grade_named(grade)
+        self.sample_rate_hz = self.bench.sample_rate_hz
+        imu = self.bench.scenario.imu
+        assert imu is not None
+        self.imu_rate_hz = imu.rate_hz
+        self.ephemerides = [item.ephemeris for item in self.bench.model.satellites]
+        samples, positions = self._made()
+        self.inputs = Inputs(samples, positions, self._decisions(samples))
+
+    def _made(self) -> tuple[list[ImuSample], list[Pvt]]:
+        samples: list[ImuSample] = []
+        positions: list[Pvt] = []
+        by_name = {item.satellite: item for item in self.ephemerides}
+        solver = SppSolver()
+        for begin, end in self.bench.spans():
+            for stream in self.bench.streams:
+                if isinstance(stream, ImuStream):
+                    samples += [item.value for item in stream.between(begin, end)]
+                elif isinstance(stream, ObservationStream) and stream.topic.startswith("gnss"):
+                    values = [item.value for item in stream.between(begin, end)]
+                    positions += [position_of(solver, item, by_name) for item in values]
+        return samples, positions
+
+    def _decisions(self, samples: Iterable[ImuSample]) -> list[MotionState]:
+        engine = MotionEngine(
+            MotionEngineConfig(), MotionConfig(), self.grade, self.imu_rate_hz,
+            self.sample_rate_hz,
+        )  # fmt: skip
+        for sample in samples:
+            engine.push(sample)
+        return [state for _, said in engine.advance(self.bench.sample_count) for state in said]
+
+    def engine(self, config: FusionConfig | None = None, **inputs: Any) -> FusionEngine:
+        """Return an engine that has been given everything; ``inputs`` replace the run's own."""
+        engine = self.empty_engine(config)
+        given = {**vars(self.inputs), **inputs}
+        for sample in given["imu"]:
+            engine.push_imu(sample)
+        for pvt in given["pvt"]:
+            engine.push_pvt(pvt)
+        for state in given["motion"]:
+            engine.push_motion(state)
+        for valid in watermarks(engine):
+            valid(EVERYTHING)
+        return engine
+
+    def empty_engine(self, config: FusionConfig | None = None) -> FusionEngine:
+        """Return an engine that knows the orbits only."""
+        engine = FusionEngine(
+            config or FusionConfig(),
+            self.grade,
+            self.sample_rate_hz,
+            self.bench.station(),
+            self.imu_rate_hz,
+        )
+        for ephemeris in self.ephemerides:
+            engine.push_ephemeris(ephemeris)
+        return engine
+
+    def run(self, engine: FusionEngine, until: float | None = None) -> Outputs:
+        """Work through the run, or to a time [s]."""
+        end = self.bench.sample_count if until is None else until * self.sample_rate_hz
+        spans = []
+        while engine.next_sample + engine.block <= end:
+            output = engine.advance()
+            assert output is not None, engine.waiting_for()
+            spans.append(output)
+        return Outputs(self, spans)
+
+    def antenna(self, samples: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return the antenna's true states, shape (m, 9), and true times [s] of samples."""
+        time = samples / self.sample_rate_hz
+        time = time - self.bench.clock(time)
+        states = self.bench.site.states(self.bench.motion, time, self.bench.scenario.lever_arm)
+        return np.hstack([states.position, states.velocity, states.acceleration]), time
+
+
+@dataclass
+class Outputs:
+    """Spans of a run, and what they say of the motion."""
+
+    run: FusionBench
+    spans: list[FusionOutput] = field(repr=False)
+
+    def time_of(self, output: FusionOutput) -> float:
+        """Return when a span begins [s]."""
+        return output.aiding.valid_from / self.run.sample_rate_hz
+
+    def between(self, begin: float, end: float) -> Outputs:
+        """Return the spans that begin in an interval [s]."""
+        return Outputs(self.run, [s for s in self.spans if begin <= self.time_of(s) < end])
+
+    @cached_property
+    def velocity_errors(self) -> list[FloatArray | None]:
+        """Errors of the predicted range rates at the knots, (n, m) [m/s]; None: no aiding."""
+        return [self._errors(item) if item.aiding.valid else None for item in self.spans]
+
+    def error(self) -> FloatArray:
+        """Return all of them in a row [m/s]."""
+        found = [item[:, :-1].ravel() for item in self.velocity_errors if item is not None]
+        return np.concatenate(found)
+
+    def jumps(self) -> FloatArray:
+        """Return by how much they jump from span to span, all in a row [m/s]."""
+        pairs = zip(self.velocity_errors, self.velocity_errors[1:], strict=False)
+        found = [
+            b[:, 0] - a[:, -1]
+            for a, b in pairs
+            if a is not None and b is not None and len(a) == len(b)
+        ]
+        return np.concatenate(found)
+
+    def sd(self) -> FloatArray:
+        """Return what the aiding says of its sigma, all in a row [m/s]."""
+        return L1_WAVELENGTH * np.concatenate([s.aiding.doppler_sd_hz for s in self.spans])
+
+    def _errors(self, output: FusionOutput) -> FloatArray:
+        aiding, start = output.aiding, self.run.bench.start
+        step = np.arange(aiding.knot_count)
+        antenna, time = self.run.antenna(
+            aiding.knot_sample_index + aiding.knot_step_samples * step
+        )
+        by_name = {item.satellite: item for item in self.run.ephemerides}
+        packed = pack([by_name[name] for name in aiding.satellites])
+        tow_ns = start.tow_ns + np.round(time * 1e9).astype(np.int64)
+        true_hz = line_of_sight(packed, start.week, tow_ns, antenna).doppler_hz.T
+        return (aiding.carrier_doppler_hz - true_hz) * -L1_WAVELENGTH
+
+
+def position_of(solver: SppSolver, epoch: Observations, ephemerides: dict[str, Ephemeris]) -> Pvt:
+    """Solve an epoch as the pvt node does."""
+    packed = pack([ephemerides[name] for name in epoch.satellites])
+    states = states_from_pseudoranges(packed, epoch.week, epoch.tow_ns, epoch.pseudorange)
+    found = solver.solve(
+        states, epoch.pseudorange, epoch.carrier_doppler_hz, epoch.cn0_dbhz.astype(np.float64),
+        tow=epoch.tow_ns * 1e-9,
+    )  # fmt: skip
+    assert found is not None
+    return Pvt(
+        epoch.sample_index, epoch.week, epoch.tow_ns, epoch.valid_through, PvtStatus.SINGLE,
+        found.position_ecef, found.velocity_ecef, found.clock_bias, found.clock_drift,
+        found.covariance[:3, :3], found.velocity_covariance[:3, :3],
+    )  # fmt: skip
+
+
+def watermarks(engine: FusionEngine) -> list[Any]:
+    """Return what tells an engine how far its inputs are complete."""
+    return [engine.source_valid, engine.imu_valid, engine.motion_valid, engine.pvt_valid]
+
+
+def motion(kind: MotionKind, since: int, decided: int) -> MotionState:
+    """Make a decision."""
+    nothing = np.zeros(6, np.float32)
+    return MotionState(since, decided, int(kind), "fast", nothing, nothing)
+
+
+def as_bytes(output: FusionOutput) -> bytes:
+    """Return all numbers of a span."""
+    parts = [str((output.status, output.late, output.extrapolated)).encode()]
+    for value in (output.solution, output.aiding):
+        for item in vars(value).values():
+            parts.append(item.tobytes() if isinstance(item, np.ndarray) else str(item).encode())
+    return b"|".join(parts)
