@@ -42,7 +42,7 @@ ELEVATION_DEG: Final = 26.0
 QUANTISING_DB: Final = 0.05
 """Loss of the 4-bit quantiser."""
 POLARITY_S: Final = 9.0
-"""By then a subframe has told the polarity of the data bits; before, half a cycle may be put in."""
+"""By then a subframe has told the polarity; before, half a cycle may be put in [s]."""
 SETTLED_S: Final = 1.5
 """Left out at both ends of the motion: its ramps."""
 
