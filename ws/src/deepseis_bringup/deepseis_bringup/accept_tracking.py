@@ -62,7 +62,12 @@ class Loop:
 
 def conventional(bandwidth_hz: float) -> Loop:
     """Return the thesis' conventional loop."""
-    settings = {"pll_order": 2, "pll_bandwidth_hz": bandwidth_hz, "loop_design": "analog"}
+    settings = {
+        "pll_order": 2,
+        "pll_bandwidth_hz": bandwidth_hz,
+        "loop_design": "analog",
+        "relock_s": 0.0,  # a lost loop stays lost, as the thesis shows it
+    }
     return Loop(f"conventional {bandwidth_hz:g} Hz", "", bandwidth_hz, settings)
 
 

@@ -28,7 +28,11 @@ LONGEST_WAIT_S = 64.0
 """Before aiding that has misled again and again is tried once more [s]."""
 TRUSTED_S = 10.0
 """Aiding that has served so long has not failed "again" [s]."""
+SETTLED_S = 0.4
+"""The aided loop begins with the conventional gains, until it has been locked so long [s]."""
 SLIP_MEAN_S = 0.02
+FAR_HZ = 12.0
+"""Residual Doppler that a loop of 20 ms does not pull in."""
 CARRIER_TO_CODE = CA_RATE_CPS / L1_HZ
 
 
@@ -53,6 +57,7 @@ def _start_mode(state: Any, mode: int) -> None:
         state.bit_energy[:] = 0.0
     if mode == TRACK:
         state.narrow = 0
+        state.settled_s = 0.0
         state.mean_error = 0.0
         state.lock_num = 0.0
         state.lock_den = 0.0
@@ -159,13 +164,15 @@ def _after_integration(
 
 @njit(cache=True, nogil=True)
 def _note_lock(state: Any, config: Any, period: float) -> None:
-    """Note in phase lock how the next pull-in is to be, and that an aided loop may be narrow."""
+    """Note in phase lock how the next pull-in is to be, and when an aided loop may be narrow."""
     if state.phase_lock == 0:
+        state.settled_s = 0.0
         return
+    state.settled_s += period
     state.weak = 1 if state.cn0 < config.weak_dbhz else 0
     if state.mode == TRACK_AIDED:
         state.aided_s += period
-        if state.narrow == 0:
+        if state.narrow == 0 and state.settled_s > SETTLED_S:
             state.narrow = 1
             state.accel = 0.0
 
@@ -194,6 +201,20 @@ def _pull_in_weak(state: Any, config: Any, stretch: np.ndarray, at_edge: bool) -
         state.weak = 2
     elif state.mode_epochs >= config.pull_in_epochs + config.bit_sync_epochs:
         _restart(state, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _far_limit(state: Any, config: Any) -> float:
+    """Residual Doppler that is too much for the loop, and 3 sigma of its own noise [Hz].
+
+    The lag-1 product of prompts of amplitude a in sigmas has the variance 2 + 2 a^2 a component;
+    0.4 s hold some 760 independent ones.
+    """
+    if config.periods < 2:
+        return FAR_HZ
+    power = math.hypot(state.cross_i, state.cross_q) / (config.periods - 1)
+    angle = math.sqrt((2.0 + 2.0 * power) / 760.0) / max(power, 1e-3)
+    return max(FAR_HZ, 3.0 * angle / (2.0 * math.pi * PERIOD_S))
 
 
 @njit(cache=True, nogil=True)
@@ -241,7 +262,8 @@ def _change_mode(
                 _restart(state, 0.0)
     elif state.mode >= TRACK:
         residual = math.atan2(state.cross_q, state.cross_i) / (2.0 * math.pi * PERIOD_S)
-        far = abs(residual) > 12.0 and state.phase_lock == 0 and config.relock_s > 0.0
+        far = abs(residual) > _far_limit(state, config) and state.phase_lock == 0
+        far = far and config.relock_s > 0.0
         if state.mode_epochs > 25 and far:
             _restart_tracking(state, residual + aid_hz)
         elif _misled(state, config):

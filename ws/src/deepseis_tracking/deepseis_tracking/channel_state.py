@@ -41,7 +41,8 @@ STATE = np.dtype(
         ("aid_failures", "i8"),  # in a row
         ("aid_wait_s", "f8"),  # before the next try
         ("aided_s", "f8"),  # time in phase lock with aiding
-        ("narrow", "i8"),  # 1: has locked with aiding, the aided loop's gains hold
+        ("settled_s", "f8"),  # time in phase lock on end
+        ("narrow", "i8"),  # 1: has settled with aiding, the aided loop's gains hold
         ("pull_in_aided", "i8"),  # 1: this pull-in uses aiding
         ("clock_hz", "f8"),  # oscillator's part of the frequency beside aiding and loop
         ("reset_epoch", "i8"),  # number of the aid epoch, policy "reset"

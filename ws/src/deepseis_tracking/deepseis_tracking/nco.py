@@ -125,7 +125,8 @@ def choose_aiding(
     start = float(state.next_sample)
     covered = aid.valid == 1 and knots.shape[0] > 0 and start >= aid.first
     if state.mode < TRACK:
-        state.pull_in_aided = 1 if covered and state.aid_held == 0 else 0
+        in_time = start + PERIOD_S * config.sample_rate - 2.0 <= aid.through
+        state.pull_in_aided = 1 if covered and in_time and state.aid_held == 0 else 0
         return state.pull_in_aided == 1
     if state.mode == TRACK and covered:
         settled = state.phase_lock == 1 and state.mode_epochs > 10 and state.aid_wait_s <= 0.0
