@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.signal import cont2discrete, lfilter
 
 from deepseis_core.constants import L1_WAVELENGTH
 from deepseis_core.ephemeris import pack, states_from_pseudoranges
@@ -175,6 +176,18 @@ class Outputs:
             if a is not None and b is not None and len(a) == len(b)
         ]
         return np.concatenate(found)
+
+    def phase_error(self, bandwidth_hz: float) -> FloatArray:
+        """Return what an aided loop of order 2 makes of the errors, shape (n, m) [deg].
+
+        Critically damped, ``wn = 8 Bn / 5`` (thesis 3.3.3): from the velocity's error to phase
+        ``(2 pi / lam) s / (s + wn)^2``. The same satellites must be aided throughout.
+        """
+        found = [item[:, :-1] for item in self.velocity_errors if item is not None]
+        wn = 1.6 * bandwidth_hz
+        loop = cont2discrete(([1.0, 0.0], [1.0, 2.0 * wn, wn**2]), 1e-3, "bilinear")
+        error = np.concatenate(found, axis=1) * (360.0 / L1_WAVELENGTH)
+        return np.asarray(lfilter(np.ravel(loop[0]), np.ravel(loop[1]), error, axis=1))
 
     def sd(self) -> FloatArray:
         """Return what the aiding says of its sigma, all in a row [m/s]."""

@@ -56,8 +56,9 @@ def difference(estimate, truth):
 def after(nav, x, theta, vel, dt, matrices=None):
     """Return where increments lead that an IMU with biases and matrix errors measured."""
     ends = np.zeros((2, 3, 3)) if matrices is None else matrices
-    force_ref = -geodesy.normal_gravity(nav.latitude, nav.height) * (
-        rotation.matrix_from_quat(nav.quat_nb)[2]
+    force_ref = (
+        -geodesy.normal_gravity(nav.latitude, nav.height)
+        * (rotation.matrix_from_quat(nav.quat_nb)[2])
     )
     measured_vel = vel + (vel - force_ref * dt) @ ends[0].T + x[es.ACCEL] * dt
     measured_theta = theta + theta @ ends[1].T + x[es.GYRO] * dt
@@ -123,8 +124,9 @@ def test_f_has_the_terms_that_print_gets_wrong(term):
 def carried(nav, theta, vel, dt, U, B, *, step, grade):
     """Return the cross-covariance with constants after increments, by the filter's kernels."""
     x = np.hstack([nav.latitude, nav.longitude, nav.height, nav.vel_n, nav.quat_nb, np.zeros(7)])
-    force_ref = -geodesy.normal_gravity(nav.latitude, nav.height) * (
-        rotation.matrix_from_quat(nav.quat_nb)[2]
+    force_ref = (
+        -geodesy.normal_gravity(nav.latitude, nav.height)
+        * (rotation.matrix_from_quat(nav.quat_nb)[2])
     )
     pending, P, U = np.zeros(loose_kernels.PENDING_SIZE), np.zeros((15, 15)), U.copy()
     loose_kernels.begin_kernel(x, pending)
@@ -210,7 +212,9 @@ def test_bias_model_keeps_variance_and_drive_and_never_trusts_longer_than_the_tr
 
 
 def test_a_unit_without_wander_keeps_its_bias_for_ever():
-    assert np.all(np.isinf(es.bias_model(ImuGrade(accel_bias=0.01).accelerometers).correlation_time))
+    assert np.all(
+        np.isinf(es.bias_model(ImuGrade(accel_bias=0.01).accelerometers).correlation_time)
+    )
 
 
 def test_kernels_agree_with_numpy():

@@ -54,6 +54,7 @@ def inertial_parameters(path: Path, source: IfSource) -> dict[str, dict[str, Any
     }
     geometry = {
         "monument_ecef": station.monument_ecef.tolist(),
+        "antenna_lever_arm": station.antenna_lever_arm.tolist(),
         "imu_to_antenna": station.imu_to_antenna.tolist(),
         "imu_orientation_xyzw": station.imu_orientation_xyzw.tolist(),
     }

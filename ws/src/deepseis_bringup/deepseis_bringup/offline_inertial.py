@@ -113,7 +113,7 @@ def _station(known: Mapping[str, Any]) -> Station:
         name="",
         network="",
         monument_ecef=np.array(known["monument_ecef"]),
-        antenna_lever_arm=np.zeros(3),
+        antenna_lever_arm=np.array(known["antenna_lever_arm"]),
         imu_to_antenna=np.array(known["imu_to_antenna"]),
         imu_orientation_xyzw=np.array(known["imu_orientation_xyzw"]),
         imu=str(known["imu_grade"]),

@@ -15,66 +15,34 @@ all steps again, as if it had been known at once.
 from __future__ import annotations
 
 from bisect import bisect_left, insort
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from deepseis_core.geodesy import ecef_from_geodetic, rotation_ned_ecef
 from deepseis_core.rotation import quat_rotate
-from deepseis_core.types import FloatArray, Pvt, PvtStatus
+from deepseis_core.types import FloatArray, Pvt
 from deepseis_ins import measurements
 from deepseis_ins.error_state import POS
+from deepseis_ins.filter_steps import (
+    GnssUpdate,
+    Rest,
+    Step,
+    change_after,
+    has_position,
+    has_velocity,
+)
 from deepseis_ins.fusion_config import FusionConfig
-from deepseis_ins.gnss_offset import SlowError, position_error, velocity_error
+from deepseis_ins.gnss_offset import position_error, velocity_error
 from deepseis_ins.imu_history import ImuHistory
 from deepseis_ins.loose import Innovation, LooseFilter
-from deepseis_ins.loose import Snapshot as FilterSnapshot
 from deepseis_ins.motion_timeline import MotionTimeline
-from deepseis_ins.strapdown import NavState, propagate
+from deepseis_ins.oscillator_terms import OscillatorTerms
+from deepseis_ins.strapdown import NavState
 
 FIRST_INTERVAL_S: Final = 0.1
 """Before the first epoch of GNSS, as if there were one before [s]."""
-
-
-@dataclass(frozen=True)
-class Rest:
-    """What is held while the station stands still.
-
-    Attributes
-    ----------
-    antenna_ecef : ndarray, shape (3,)
-        Where the antenna is [m].
-    C_nb : ndarray, shape (3, 3)
-        How the IMU stands.
-    covariance_n : ndarray, shape (3, 3)
-        Of the place, north, east, down [m^2].
-    """
-
-    antenna_ecef: FloatArray
-    C_nb: FloatArray
-    covariance_n: FloatArray
-
-
-@dataclass(frozen=True)
-class Step:
-    """State after the step at a sample; ``kind`` 0 is a regular one, 1 an epoch of GNSS."""
-
-    sample_index: int
-    kind: int
-    row: int
-    filter: FilterSnapshot
-    rest: Rest | None
-    position: SlowError
-    velocity: SlowError
-
-
-@dataclass(frozen=True)
-class GnssUpdate:
-    """What became of one epoch of GNSS that was used."""
-
-    sample_index: int
-    innovations: tuple[Innovation | None, Innovation | None]
 
 
 class DelayedFilter:
@@ -91,6 +59,8 @@ class DelayedFilter:
     lever_arm_b : ndarray, shape (3,)
         From IMU to antenna, forward-right-down [m].
     sample_rate_hz : float
+    oscillator : OscillatorTerms, optional
+        What it is to estimate of the receiver's oscillator.
 
     Attributes
     ----------
@@ -107,8 +77,10 @@ class DelayedFilter:
         timeline: MotionTimeline,
         lever_arm_b: FloatArray,
         sample_rate_hz: float,
+        oscillator: OscillatorTerms | None = None,
     ) -> None:
         self.config, self.filter, self.row = config, filter, row
+        self.oscillator = oscillator
         self.history, self.timeline = history, timeline
         self.lever_arm_b, self.sample_rate_hz = lever_arm_b, sample_rate_hz
         self.rest: Rest | None = None
@@ -157,8 +129,7 @@ class DelayedFilter:
 
     def push(self, pvt: Pvt) -> None:
         """Take an epoch of GNSS that counts from now on."""
-        values = pvt.position_ecef, pvt.position_covariance_ecef
-        if pvt.status == PvtStatus.NONE or not all(np.isfinite(item).all() for item in values):
+        if not has_position(pvt):
             return
         first = self._steps[0]
         if (pvt.sample_index, 1) <= (first.sample_index, first.kind):
@@ -181,6 +152,8 @@ class DelayedFilter:
         self.filter.restore(step.filter)
         self.row, self.rest = step.row, step.rest
         self.position, self.velocity = step.position, step.velocity
+        if self.oscillator is not None and step.oscillator is not None:
+            self.oscillator.state = step.oscillator
 
     def work(self, horizon: int) -> list[GnssUpdate]:
         """Do all steps up to a sample; return what was done with GNSS."""
@@ -189,6 +162,8 @@ class DelayedFilter:
             sample, pvt = due
             self._carry(self.history.number_at(sample))
             still = self._settle(sample)
+            if pvt is not None and self.oscillator is not None:
+                self.oscillator.take(pvt, self.history, self.sample_rate_hz, still=still)
             if pvt is None:
                 if still:
                     self._constrain()
@@ -262,14 +237,16 @@ class DelayedFilter:
         self.position = self.position.learn(
             seconds, pvt.position_ecef, self.rest.antenna_ecef, pvt.position_covariance_ecef, dt
         )
-        if _has_velocity(pvt):
+        if has_velocity(pvt):
             self.velocity = self.velocity.learn(
                 seconds, pvt.velocity_ecef, np.zeros(3), pvt.velocity_covariance_ecef, dt
             )
 
     def _use(self, pvt: Pvt) -> GnssUpdate:
         seconds, dt = self._epoch(pvt)
-        moved, gained = self._beyond(pvt.sample_index)
+        moved, gained = change_after(
+            self.filter, self.history, self.row, pvt.sample_index, self.sample_rate_hz
+        )
         fix = self.position.correct(
             seconds, pvt.position_ecef - moved, pvt.position_covariance_ecef, dt
         )
@@ -277,7 +254,7 @@ class DelayedFilter:
             self.filter.nav, fix.value, fix.covariance, self.lever_arm_b
         )
         position, velocity = self._update(measurement), None
-        if _has_velocity(pvt):
+        if has_velocity(pvt):
             fix = self.velocity.correct(
                 seconds, pvt.velocity_ecef - gained, pvt.velocity_covariance_ecef, dt
             )
@@ -306,20 +283,6 @@ class DelayedFilter:
             interval = seconds - self._pvts[before - 1].sample_index / self.sample_rate_hz
         return seconds, interval
 
-    def _beyond(self, sample_index: int) -> tuple[FloatArray, FloatArray]:
-        """Return by what position and velocity change from the filter's row to a sample, ECEF."""
-        nav, history = self.filter.nav, self.history
-        late = (sample_index - history.sample_index(self.row)) / self.sample_rate_hz
-        if late <= 0.0 or self.row + 1 >= history.end:
-            return late * np.zeros(3), np.zeros(3)
-        angle, velocity = history.increments(self.row + 1, self.row + 2)
-        angle = angle - self.filter.gyro_bias * history.dt
-        velocity = velocity - self.filter.accel_bias * history.dt
-        after, _ = propagate(nav, angle, velocity, history.dt)
-        gained = (after.vel_n - nav.vel_n) * (late / history.dt)
-        C_ne = rotation_ned_ecef(nav.latitude, nav.longitude)
-        return (late * (nav.vel_n + 0.5 * gained)) @ C_ne, gained @ C_ne
-
     def _snapshot(self, sample_index: int, kind: int) -> Step:
         return Step(
             sample_index,
@@ -329,6 +292,7 @@ class DelayedFilter:
             self.rest,
             self.position,
             self.velocity,
+            self.oscillator.state if self.oscillator is not None else None,
         )
 
     def _forget(self, horizon: int) -> None:
@@ -339,9 +303,3 @@ class DelayedFilter:
         first = self._steps[0].sample_index
         while len(self._pvts) > 1 and self._pvts[1].sample_index < first:
             del self._pvts[0]
-
-
-def _has_velocity(pvt: Pvt) -> bool:
-    return bool(
-        np.isfinite(pvt.velocity_ecef).all() and np.isfinite(pvt.velocity_covariance_ecef).all()
-    )

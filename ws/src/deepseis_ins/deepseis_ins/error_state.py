@@ -23,6 +23,7 @@ do to a shake of 2 g at 1 Hz is a velocity error of 1 mm/s that swings back, whi
 accumulates. They are *considered* (`deepseis_core.kalman`): the covariance is exact for any
 motion, and no gain is spent on them. What gravity makes of M, in the attitude of the start where
 ``f_ref`` is felt, cannot be told from bias and counts as such; ``M (f - f_ref)`` is considered.
+The model is linear in M: it holds up to a per cent or so.
 
 With the error of the attitude that `zero_angle` refers to, which is estimated, they are the 21
 constants behind the states.

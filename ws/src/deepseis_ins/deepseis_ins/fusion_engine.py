@@ -19,17 +19,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-import numpy as np
-
 from deepseis_core.errors import InputError
-from deepseis_core.gps_time import GpsTime
 from deepseis_core.imu_grades import ImuGrade
-from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import (
     Aiding,
-    FloatArray,
-    InsSolution,
-    IntArray,
     Pvt,
     PvtStatus,
     Station,
@@ -37,12 +30,14 @@ from deepseis_core.types import (
 from deepseis_ins.aiding import DopplerPredictor, KnotGrid
 from deepseis_ins.alignment import still_mean
 from deepseis_ins.antenna_motion import KnotInterpolator
-from deepseis_ins.delayed_filter import DelayedFilter, GnssUpdate
+from deepseis_ins.delayed_filter import DelayedFilter
+from deepseis_ins.filter_steps import GnssUpdate
 from deepseis_ins.fusion_config import FusionConfig
 from deepseis_ins.fusion_inputs import FusionInputs
 from deepseis_ins.fusion_output import FusionOutput, FusionStatus, SolutionWriter, no_aiding
 from deepseis_ins.fusion_present import Present
 from deepseis_ins.fusion_start import Site, start_filter
+from deepseis_ins.fusion_time import Timebase
 from deepseis_ins.imu_history import RowFlag
 from deepseis_ins.loose import LooseConfig
 from deepseis_ins.oscillator_terms import OscillatorTerms
@@ -51,8 +46,6 @@ from deepseis_ins.satellite_book import Chosen
 SOURCE = "fusion"
 LOST_S = 30.0
 """IMU data missing for so long: the station starts anew."""
-CLOCK_JUMP_NS = 500_000
-"""GPS time of samples off by more: the receiver's clock was set, by whole milliseconds."""
 
 
 class FusionEngine(FusionInputs):
@@ -103,13 +96,13 @@ class FusionEngine(FusionInputs):
         self.writer = SolutionWriter(self.site.monument_ecef, self.site.C_enu_e, self.interpolator)
         self.oscillator = OscillatorTerms(config) if config.oscillator_on_body else None
         self.delayed: DelayedFilter | None = None
-        self._clock = SampleClock(0, sample_rate_hz)
-        self._predictor: DopplerPredictor | None = None
+        self.timebase = Timebase(SOURCE, sample_rate_hz)
+        self._reported = -1
         self._recovering = False
         self.trouble = ""
         self._counts = dict.fromkeys(
             ("spans", "invalid", "late_imu", "late_motion", "late_pvt", "extrapolated",
-             "starts", "corrected_surveys", "restarts", "clock_jumps"), 0,
+             "starts", "corrected_surveys", "restarts"), 0,
         )  # fmt: skip
         self._worked: dict[str, int] = {}
 
@@ -123,7 +116,10 @@ class FusionEngine(FusionInputs):
     @property
     def statistics(self) -> dict[str, int]:
         """Counts since the start, for diagnostics."""
-        parts: list[Mapping[str, int]] = [self._counts, self.history.counts, self._worked]
+        clock = {"clock_jumps": self.timebase.jumps}
+        parts: list[Mapping[str, int]] = [
+            self._counts, clock, self.history.counts, self._worked,
+        ]  # fmt: skip
         if self.delayed is not None:
             parts.append(self.delayed.counts)
         keys = [key for part in parts for key in part]
@@ -171,36 +167,28 @@ class FusionEngine(FusionInputs):
     def _take_pvt(self, pvt: Pvt) -> None:
         if pvt.status == PvtStatus.NONE:
             return
-        offset = self._clock.offset_ns(pvt.sample_index)
-        start = GpsTime(pvt.week, pvt.tow_ns).add_ns(-offset)
-        if self._predictor is None or abs(start.diff_ns(self._predictor.start)) > CLOCK_JUMP_NS:
-            self._counts["clock_jumps"] += self._predictor is not None
-            self._predictor = DopplerPredictor(SOURCE, start, self.sample_rate_hz)
-        if self.oscillator is not None:
-            still = self.timeline.is_still(pvt.sample_index)
-            self.oscillator.take(pvt, self.history, self.sample_rate_hz, still=still)
+        self.timebase.take(pvt)
         if self.delayed is not None:
             self.delayed.push(pvt)
 
     def _work(self, horizon: int) -> list[GnssUpdate]:
         """Bring the filter to D before the span; start it if the station has stood still."""
-        if self.delayed is None:
-            self._start(horizon)
-        elif self._imu_lost():
+        if self._imu_lost():
             self._restart()
-        return self.delayed.work(horizon) if self.delayed is not None else []
+        elif self.delayed is None:
+            self._start(horizon)
+        if self.delayed is None:
+            return []
+        # What is done again has been reported already.
+        updates = [u for u in self.delayed.work(horizon) if u.sample_index > self._reported]
+        self._reported = max(self._reported, *(u.sample_index for u in updates), -1)
+        return updates
 
     def _start(self, horizon: int) -> None:
         history, count = self.history, round(self.config.alignment_s / self.history.dt)
         row = history.number_at(horizon)
-        if not self.timeline.is_still(horizon) or row + 1 - count < history.first:
-            return
         rows = row + 1 - count, row + 1
-        if (
-            row < 0
-            or history.count(*rows, RowFlag.MISSING)
-            or history.count(*rows, RowFlag.CLIPPED)
-        ):
+        if not (self.timeline.is_still(horizon) and history.is_whole(*rows)):
             return
         still = still_mean(*history.increments(*rows), history.dt)
         try:
@@ -213,7 +201,7 @@ class FusionEngine(FusionInputs):
         self._counts["corrected_surveys"] += corrected
         self.delayed = DelayedFilter(
             self.config, filter, row, history, self.timeline, self.site.lever_arm_b,
-            self.sample_rate_hz,
+            self.sample_rate_hz, self.oscillator,
         )  # fmt: skip
 
     def _imu_lost(self) -> bool:
@@ -223,8 +211,8 @@ class FusionEngine(FusionInputs):
 
     def _restart(self) -> None:
         """Forget where everything is: after so long without IMU data nobody knows."""
-        assert self.delayed is not None
-        for key, value in self.delayed.counts.items():
+        counts = self.delayed.counts if self.delayed is not None else {}
+        for key, value in counts.items():
             self._worked[key] = self._worked.get(key, 0) + value
         self.delayed = None
         self.history.restart()
@@ -232,11 +220,8 @@ class FusionEngine(FusionInputs):
         self._counts["restarts"] += 1
 
     def _forget(self) -> None:
-        begin = (
-            self.next_sample
-            - self.delay
-            - round((self.config.undo_s + self.config.alignment_s + 1.0) * self.sample_rate_hz)
-        )
+        kept = self.config.undo_s + self.config.alignment_s + 1.0
+        begin = self.next_sample - self.delay - round(kept * self.sample_rate_hz)
         self.timeline.forget(begin)
         oldest = self.history.number_at(begin)
         if self.delayed is not None:
@@ -249,26 +234,23 @@ class FusionEngine(FusionInputs):
         self, begin: int, end: int, lacking: list[str], updates: list[GnssUpdate]
     ) -> FusionOutput:
         grid = KnotGrid.of_span(begin, end - begin, self.sample_rate_hz)
-        late, delayed, predictor = " ".join(lacking), self.delayed, self._predictor
+        late, delayed, predictor = " ".join(lacking), self.delayed, self.timebase.predictor
         if delayed is None or predictor is None:
             status = FusionStatus.ALIGNING if delayed is None else FusionStatus.NO_TIME
             return FusionOutput(self.writer.empty(end - 1), no_aiding(SOURCE, grid), status, late)
         present = Present.of(delayed, self.history.number_at(end), self.site.monument_ecef)
         chosen = self.book.choose(begin, predictor.gps_time(begin), self.site.monument_ecef)
-        made_up = self._made_up(begin, end)
+        first, last = (self.history.number_at(sample) + 1 for sample in (begin, end))
+        made_up = self.history.count(first, last, RowFlag.MISSING)
         extrapolated = made_up if "imu" in lacking else 0
         self._counts["extrapolated"] += extrapolated
         status = self._status(present, chosen, made_up, extrapolated)
-        solution = self._solution(present, begin, end, updates)
+        solution = self.writer.write((begin, end), self.timebase, present, updates)
         if status is FusionStatus.RUNNING:
             aiding = self._aiding(grid, present, chosen, predictor)
         else:
             aiding = no_aiding(SOURCE, grid)
         return FusionOutput(solution, aiding, status, late, extrapolated)
-
-    def _made_up(self, begin: int, end: int) -> int:
-        first, last = (self.history.number_at(sample) + 1 for sample in (begin, end))
-        return self.history.count(first, last, RowFlag.MISSING)
 
     def _status(
         self, present: Present, chosen: Chosen, made_up: int, extrapolated: int
@@ -286,33 +268,6 @@ class FusionEngine(FusionInputs):
             return FusionStatus.UNCERTAIN
         return FusionStatus.RUNNING if chosen.names else FusionStatus.NO_SATELLITES
 
-    def _solution(
-        self, present: Present, begin: int, end: int, updates: list[GnssUpdate]
-    ) -> InsSolution:
-        assert self._predictor is not None
-        assert self.delayed is not None
-        count = int(np.count_nonzero(present.nodes.sample_index > begin))
-        samples = present.nodes.sample_index[len(present.nodes.sample_index) - count :]
-        filter = self.delayed.filter
-        return self.writer.write(
-            end - 1,
-            self._times(samples),
-            present.nodes,
-            present.trajectory,
-            (filter.gyro_bias, filter.accel_bias),
-            np.sqrt(np.diag(present.covariance)),
-            updates,
-        )
-
-    def _times(self, samples: IntArray) -> tuple[int, IntArray]:
-        """Return the week of the first sample and nanoseconds of its week of all."""
-        assert self._predictor is not None
-        if not len(samples):
-            return 0, np.zeros(0, np.int64)
-        first = self._predictor.gps_time(int(samples[0]))
-        offsets = np.array([self._clock.offset_ns(k) for k in samples.tolist()], np.int64)
-        return first.week, first.tow_ns + offsets - offsets[0]
-
     def _aiding(
         self, grid: KnotGrid, present: Present, chosen: Chosen, predictor: DopplerPredictor
     ) -> Aiding:
@@ -326,18 +281,11 @@ class FusionEngine(FusionInputs):
         )
         if self.oscillator is None:
             return aiding
-        doppler, rate = self._oscillator_doppler(grid.samples, present)
+        samples, points = present.nodes.sample_index, self.interpolator.lever_points
+        weights = self.interpolator.weights(samples, grid.samples, points)
+        doppler, rate = self.oscillator.doppler(weights, present.gained_b)
         return replace(
             aiding,
             carrier_doppler_hz=aiding.carrier_doppler_hz + doppler,
             carrier_doppler_rate=aiding.carrier_doppler_rate + rate,
         )
-
-    def _oscillator_doppler(
-        self, knots: IntArray, present: Present
-    ) -> tuple[FloatArray, FloatArray]:
-        assert self.oscillator is not None
-        samples = present.nodes.sample_index
-        weights = self.interpolator.weights(samples, knots, self.interpolator.lever_points)
-        force, rate = weights[1] @ present.gained_b, weights[2] @ present.gained_b
-        return self.oscillator.doppler(force), self.oscillator.doppler_rate(rate)

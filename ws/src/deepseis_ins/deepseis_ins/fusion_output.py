@@ -20,10 +20,12 @@ from deepseis_core.types import (
     IntArray,
 )
 from deepseis_ins.aiding import KnotGrid
-from deepseis_ins.antenna_motion import KnotInterpolator, Nodes
-from deepseis_ins.delayed_filter import GnssUpdate
+from deepseis_ins.antenna_motion import KnotInterpolator
 from deepseis_ins.error_state import STATES
+from deepseis_ins.filter_steps import GnssUpdate
 from deepseis_ins.fusion_kernels import orientation_kernel
+from deepseis_ins.fusion_present import Present
+from deepseis_ins.fusion_time import Timebase
 from deepseis_ins.strapdown import Trajectory
 
 CHILD_FRAME = "imu_link"
@@ -111,49 +113,41 @@ class SolutionWriter:
 
     def write(
         self,
-        valid_through: int,
-        times: tuple[int, IntArray],
-        nodes: Nodes,
-        trajectory: Trajectory,
-        biases: tuple[FloatArray, FloatArray],
-        sd: FloatArray,
+        span: tuple[int, int],
+        timebase: Timebase,
+        present: Present,
         updates: list[GnssUpdate],
     ) -> InsSolution:
-        """Return the solution at the last epochs of a trajectory.
+        """Return the solution of a span.
 
         Parameters
         ----------
-        valid_through : int
-        times : int and ndarray of int64, shape (n,)
-            Week of the first epoch, and nanoseconds of its week of the n last epochs.
-        nodes, trajectory
-            All epochs.
-        biases : ndarrays, shape (3,)
-            Of gyros and accelerometers, forward-right-down [rad/s, m/s^2].
-        sd : ndarray, shape (15,)
-            One sigma of the errors, `deepseis_ins.error_state`.
+        span : tuple of int
+            Its first sample and the one after its last; epochs after the first up to that are
+            given.
+        timebase : Timebase
+        present : Present
         updates : list of GnssUpdate
         """
-        week, tow_ns = times
-        n = len(tow_ns)
+        nodes, trajectory = present.nodes, present.trajectory
+        n = int(np.count_nonzero(nodes.sample_index > span[0]))
         last = slice(len(nodes.sample_index) - n, None)
         sample_index = nodes.sample_index[last]
+        week, tow_ns = timebase.times(sample_index)
         acceleration = self.interpolator.rate(nodes.sample_index, nodes.velocity, sample_index)
         position = nodes.position[last] + (nodes.origin - self.monument_ecef)
-        gyro_bias, accelerometer_bias = (
-            np.repeat(flu_from_frd(bias)[None], n, axis=0) for bias in biases
-        )
+        biases = flu_from_frd([present.gyro_bias, present.accel_bias])
         values = (
             position @ self.C_enu_e.T,
             nodes.velocity[last] @ self.C_enu_e.T,
             self._orientation(trajectory, last),
             acceleration @ self.C_enu_e.T,
-            gyro_bias,
-            accelerometer_bias,
+            *np.repeat(biases[:, None], n, axis=1),
         )
         vectors = dict(zip(VECTORS, values, strict=True))
-        sds = np.repeat(sd.astype(np.float32)[None], n, axis=0)
-        return self._solution(valid_through, sample_index, tow_ns, week, vectors, sds, updates)
+        sd = np.sqrt(np.diag(present.covariance)).astype(np.float32)
+        sds = np.repeat(sd[None], n, axis=0)
+        return self._solution(span[1] - 1, sample_index, tow_ns, week, vectors, sds, updates)
 
     def _orientation(self, trajectory: Trajectory, last: slice) -> FloatArray:
         """Return the attitude against the monument's axes; local ones are those of the end."""

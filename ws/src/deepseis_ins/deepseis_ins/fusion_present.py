@@ -28,6 +28,8 @@ class Present:
         The same in ECEF.
     gained_b : ndarray, shape (n, 3)
         Sum of the velocity increments as measured, since the first epoch [m/s].
+    gyro_bias, accel_bias : ndarray, shape (3,)
+        Forward-right-down [rad/s, m/s^2].
     covariance : ndarray, shape (15, 15)
         The filter's, and what IMU data that are missing since add.
     lever_rate_variance : float
@@ -37,6 +39,8 @@ class Present:
     trajectory: Trajectory
     nodes: Nodes
     gained_b: FloatArray
+    gyro_bias: FloatArray
+    accel_bias: FloatArray
     covariance: FloatArray
     lever_rate_variance: float
 
@@ -69,7 +73,7 @@ class Present:
         covariance[VEL, VEL] += walk2 * np.eye(3)
         turn2 = filter.grade.gyros.walk**2 / history.dt
         swing2 = turn2 * float(delayed.lever_arm_b @ delayed.lever_arm_b)
-        return cls(trajectory, nodes, gained, covariance, swing2)
+        return cls(trajectory, nodes, gained, bias[:3], bias[3:], covariance, swing2)
 
     def velocity_sd(self) -> float:
         """Return the largest sigma of velocity [m/s]."""

@@ -19,6 +19,9 @@ from deepseis_ins.fusion_config import FusionConfig
 UNKNOWN_SD = 10.0
 """Of the slow error of positions before it is known [m]."""
 
+_GATE = 40.0
+"""Of the normalised square of three values: 1e-8 of good ones exceed it."""
+
 
 @dataclass(frozen=True)
 class Correction:
@@ -57,6 +60,8 @@ class SlowError:
     ) -> SlowError:
         """Return what is known after a measurement of something that is known.
 
+        One that lies outside of what its formal sigma allows changes nothing.
+
         Parameters
         ----------
         seconds : float
@@ -70,8 +75,11 @@ class SlowError:
         """
         P = self._covariance_at(seconds)
         R = self._noise(formal, dt)
+        innovation = value - known - self.mean
+        if innovation @ np.linalg.solve(P + R + formal, innovation) > _GATE:
+            return self
         gain = P @ np.linalg.inv(P + R)
-        mean = self.mean + gain @ (value - known - self.mean)
+        mean = self.mean + gain @ innovation
         P = P - gain @ P
         return replace(self, mean=mean, covariance=0.5 * (P + P.T), seconds=seconds)
 

@@ -29,6 +29,8 @@ from deepseis_ins.fusion_config import FusionConfig
 
 _AT_RANGE = 0.999
 """Of the range: a rate so large is taken as clipped."""
+_IMPOSSIBLE = 1.1
+"""Of that: no sensor gives so much, it was lost on the way."""
 _ROWS = 4096
 """Room for rows, at least."""
 
@@ -64,7 +66,7 @@ class ImuHistory:
     ----------
     counts : dict of str to int
         ``samples`` taken, ``missing`` rows, ``late`` samples that still found their place,
-        ``dropped`` ones (too late, twice there, not finite), ``clipped`` ones.
+        ``dropped`` ones (too late, twice there, impossible), ``clipped`` ones.
     """
 
     def __init__(
@@ -151,8 +153,13 @@ class ImuHistory:
         """Forget all rows; the next sample is the first again."""
         self.first, self.end, self._anchor = 0, 0, -1
 
+    def is_whole(self, begin: int, end: int) -> bool:
+        """Return whether rows are there, measured or at least bridged, and not clipped."""
+        held = self.first <= begin and end <= self.end
+        return held and not self.count(begin, end, RowFlag.MISSING | RowFlag.CLIPPED)
+
     def unknown(self, begin: int, end: int) -> tuple[float, float]:
-        """Return variances of velocity and attitude from what is not known of rows [m^2/s^2, rad^2]."""
+        """Return variances of velocity and attitude that faulty rows add [m^2/s^2, rad^2]."""
         missing, clipped, bridged = (
             self.count(begin, end, flag) * self.dt
             for flag in (RowFlag.MISSING, RowFlag.CLIPPED, RowFlag.BRIDGED)
@@ -180,7 +187,8 @@ class ImuHistory:
         delta = np.empty(6)
         delta[:3], delta[3:] = sample.angular_velocity, sample.linear_acceleration
         delta *= self._to_increments
-        if not math.isfinite(delta.sum()):
+        size = np.abs(delta)
+        if not math.isfinite(size.sum()) or (size > _IMPOSSIBLE * self._limits).any():
             self.counts["dropped"] += 1
             return None
         if self._anchor < 0:

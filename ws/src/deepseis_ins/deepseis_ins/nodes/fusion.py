@@ -44,7 +44,10 @@ class NodeConfig:
     start_utc_ns: int = setting(0, "UTC of sample 0 [ns since 1970]")
     imu_rate_hz: float = setting(200.0, "IMU samples a second [Hz]", low=10.0, high=2000.0)
     imu_grade: str = setting("span-fsas", "grade of the IMU (deepseis_core.imu_grades) [-]")
-    monument_ecef: list[float] = setting([0.0, 0.0, 0.0], "where the IMU stands, ECEF [m]")
+    monument_ecef: list[float] = setting([0.0, 0.0, 0.0], "surveyed monument, ECEF [m]")
+    antenna_lever_arm: list[float] = setting(
+        [0.0, 0.0, 0.0], "from the monument to the antenna, east, north, up [m]"
+    )
     imu_to_antenna: list[float] = setting([0.0, 0.0, 0.0], "lever arm, forward, left, up [m]")
     imu_orientation_xyzw: list[float] = setting(
         [0.0, 0.0, 0.0, 1.0], "surveyed attitude, FLU to ENU; zeros: level it [-]"
@@ -96,7 +99,7 @@ class FusionNode(Node):
             name=self.get_namespace().strip("/"),
             network="",
             monument_ecef=np.array(config.monument_ecef),
-            antenna_lever_arm=np.zeros(3),
+            antenna_lever_arm=np.array(config.antenna_lever_arm),
             imu_to_antenna=np.array(config.imu_to_antenna),
             imu_orientation_xyzw=np.array(config.imu_orientation_xyzw),
             imu=config.imu_grade,
@@ -154,7 +157,7 @@ class FusionNode(Node):
         engine.pvt_valid(min(inputs["pvt"].valid_through, self.orbits.valid_through))
         while (output := engine.advance(force)) is not None:
             self.publish(output)
-            self.progressed = time.monotonic()
+            self.progressed, force = time.monotonic(), False  # each span has its own deadline
         source = self.flow.others.get("if_source")
         if source is None or not source.end_of_stream or self.flow.ended:
             return
