@@ -172,4 +172,13 @@ def autocorrelation(values, lag=1):
     return (x[lag:] * x[:-lag]).mean(axis=0) / (x * x).mean(axis=0)
 
 
-__all__ = ["Fix", "Log", "autocorrelation", "instinct", "pairwise", "psins", "still_before", "walk"]
+__all__ = [
+    "Fix",
+    "Log",
+    "autocorrelation",
+    "instinct",
+    "pairwise",
+    "psins",
+    "still_before",
+    "walk",
+]

@@ -197,8 +197,10 @@ class Scene:
             for span in (self.still, self.moving)
         )
         held = {item.satellite for item in still if item.locked > 0.99}
-        seen = [[item for item in part if item.satellite in held] for part in (still, moving)]
-        return Outcome(loop, *seen, found)
+        still, moving = (
+            [item for item in part if item.satellite in held] for part in (still, moving)
+        )
+        return Outcome(loop, still, moving, found)
 
 
 def accept_tracking(folder: Path, *, short: bool, say: Say = lambda _text: None) -> Acceptance:

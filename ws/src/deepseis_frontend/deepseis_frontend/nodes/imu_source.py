@@ -64,24 +64,24 @@ class ImuSourceNode(Node):
         """Play what belongs to the signal so far."""
         through = msg.valid_through
         while self.next is not None and self.next.sample_index <= through + 1:
+            self.report(self.next.sample_index)
             utc_ns = self.clock.utc_ns(self.next.sample_index)
             self.publisher.publish(encode_imu(self.next, utc_ns))
             self.sent += 1
             self.next = next(self.samples, None)
         if through >= 0:
-            self.report(through)
             utc_ns = self.clock.utc_ns(through)
             self.flow.send(through, through, event_count=self.sent, utc_ns=utc_ns)
         if msg.end_of_stream and not self.flow.ended:
             self.flow.finish()
 
-    def report(self, through: int) -> None:
-        """Publish the counters, once a second of samples."""
-        second = int(through / self.clock.sample_rate_hz)
+    def report(self, sample_index: int) -> None:
+        """Publish the counters before the first sample of every second."""
+        second = int(sample_index / self.clock.sample_rate_hz)
         if second > self.second:
             self.second = second
             text = f"playing at {self.source.rate_hz:g} Hz"
-            utc_ns = self.clock.utc_ns(through)
+            utc_ns = self.clock.utc_ns(sample_index)
             self.diagnostics.publish(
                 diagnostics.encoded(
                     "imu_source", diagnostics.OK, text, {"samples": self.sent}, utc_ns
