@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepseis_bringup.accept_tracking import RATE_HZ, Scene, aided
+from deepseis_bringup.accept_scene import RATE_HZ, Scene, aided
 from deepseis_bringup.graph_payloads import run_graph
 from deepseis_bringup.loop_measures import Tracks, measure, thermal_deg
 from deepseis_bringup.offline import OfflineChain, encode
@@ -28,7 +28,7 @@ def scene(tmp_path_factory):
     base = scenarios.load_scenario("sine-2hz", short=True)
     small = replace(base, duration=18.5, motion=(circle,), sky=SkyConfig(satellites=6), base=None)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deepseis_bringup.accept_tracking.load_scenario", lambda *_, **__: small)
+        patch.setattr("deepseis_bringup.accept_scene.load_scenario", lambda *_, **__: small)
         made = Scene("sine-2hz", tmp_path_factory.mktemp("scene"), short=True)
     made.moving, made.still = (ONSET + 0.6, 17.4), (8.6, ONSET - 0.1)
     return made

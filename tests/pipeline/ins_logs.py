@@ -3,7 +3,6 @@
 import csv
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from itertools import pairwise
 
 import numpy as np
 from scipy.io import loadmat
@@ -63,12 +62,11 @@ def psins(folder):
     fixes = []
     for tow in np.unique(observed[observed[:, 0] >= start, 0]):
         rows = observed[(observed[:, 0] == tow) & np.isin(observed[:, 1], list(known))]
-        # The last column is a rate, negative for a rising satellite's opposite: Doppler in m/s.
+        # The last column is Doppler in metres a second, positive approaching.
         fix = _solved([known[int(prn)] for prn in rows[:, 1]], tow, rows[:, 2], rows[:, 5], None)
         fixes += [] if fix is None else [_shifted(fix, -start)]
-    dt = np.diff(imu[:, 6], prepend=imu[0, 6] - 0.005)
     # Times of samples jitter by 2 ms about 5 ms: they were stamped, not taken, unevenly.
-    dt = np.full(len(dt), (imu[-1, 6] - imu[0, 6]) / (len(imu) - 1))
+    dt = np.full(len(imu), (imu[-1, 6] - imu[0, 6]) / (len(imu) - 1))
     to_frd = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     return Log(imu[0, 6] + np.cumsum(dt), dt, imu[:, :3] @ to_frd.T, imu[:, 3:6] @ to_frd.T, fixes)
 
@@ -113,7 +111,8 @@ def instinct(folder):
         ephemerides = [chosen[name] for name in names]
         fix = _solved(ephemerides, epoch.tow, values[:, 0], doppler, klobuchar, values[:, 3])
         fixes += [] if fix is None else [fix]
-    rows = list(csv.DictReader((folder / "vn310-imu.csv").open()))
+    with (folder / "vn310-imu.csv").open() as file:
+        rows = list(csv.DictReader(file))
     time = np.array([float(row["GpsTow [s]"]) for row in rows])
     rates, force = (
         np.array([[float(row[f"IMU::Uncomp{what}::{axis} [{unit}]"]) for axis in "XYZ"]
@@ -161,7 +160,7 @@ def walk(folder):
     return Log(time[1:], dt, theta * dt[:, None], vel * dt[:, None], fixes)
 
 
-def still_before(log, seconds):
+def ended_before(log, seconds):
     """Tell how many increments end before a time."""
     return int(np.searchsorted(log.time, seconds))
 
@@ -171,14 +170,3 @@ def autocorrelation(values, lag=1):
     x = values - values.mean(axis=0)
     return (x[lag:] * x[:-lag]).mean(axis=0) / (x * x).mean(axis=0)
 
-
-__all__ = [
-    "Fix",
-    "Log",
-    "autocorrelation",
-    "instinct",
-    "pairwise",
-    "psins",
-    "still_before",
-    "walk",
-]

@@ -145,10 +145,17 @@ class Acceptance:
             body.append(f"<h2>{escape(name)}</h2>{place(figures, panels, Colours([]))}")
         met, goals = self.counts()
         lead = f"{met} of {goals} goals are met. " + " ".join(self.remarks)
-        tile = Tile("Goals met", f"{met}", f"of {goals}", "", bad=met < goals)
+        missed = sum(row.met is False for row in self.rows)
+        tiles = [
+            Tile("Goals met", f"{met}", f"of {goals}"),
+            Tile("Missed", f"{missed}", bad=missed > 0),
+            Tile("Lines", f"{len(self.rows)}", more="those without a goal are reports"),
+            Tile("Tables", f"{len(dict(_by_table(self.rows)))}"),
+        ]
         head = (
             f'<header class="top"><p class="kind">DeepSeis acceptance</p><h1>{escape(self.title)}'
-            f'</h1><p class="lead">{escape(lead)}</p><dl class="tiles">{tile.html()}</dl></header>'
+            f'</h1><p class="lead">{escape(lead)}</p>'
+            f'<dl class="tiles">{"".join(tile.html() for tile in tiles)}</dl></header>'
         )
         return document(self.title, head, body, panels)
 
@@ -167,7 +174,7 @@ def _table(rows: Sequence[Row]) -> str:
         style = ' class="bad"' if row.met is False else ""
         cells = "".join(f"<td>{escape(text)}</td>" for text in row.cells()[1:])
         lines.append(f"<tr{style}>{cells}</tr>")
-    table = f"<table><tr>{head}</tr>{''.join(lines)}</table>"
+    table = f'<table class="words"><tr>{head}</tr>{"".join(lines)}</table>'
     return f'<div class="scroll" tabindex="0">{table}</div>'
 
 

@@ -9,10 +9,9 @@ are repeated with them. Ours are what they say.
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,63 +19,20 @@ import numpy as np
 
 from deepseis_bringup.accept import Acceptance, Goal, Row
 from deepseis_bringup.accept_figures import discriminator_figure, error_figure
-from deepseis_bringup.graph import GraphConfig
-from deepseis_bringup.inertial import inertial_parameters
-from deepseis_bringup.loop_measures import (
-    CarrierTruth,
-    LoopFigures,
-    Tracks,
-    measure,
-    pooled,
-    thermal_deg,
+from deepseis_bringup.accept_scene import (
+    QUANTISING_DB,
+    RATE_HZ,
+    Loop,
+    Outcome,
+    Scene,
+    aided,
+    conventional,
 )
-from deepseis_bringup.offline import OfflineChain, Output, encode
-from deepseis_bringup.run_columns import Columns
-from deepseis_bringup.simulate import simulate
-from deepseis_frontend.if_bag import IfBag
-from deepseis_sim.scenario import load_scenario
-
-RATE_HZ: Final = 4.0e6
-ELEVATION_DEG: Final = 26.0
-"""Of the satellite whose discriminator stands for the thesis' low ones."""
-QUANTISING_DB: Final = 0.05
-"""Loss of the 4-bit quantiser."""
-POLARITY_S: Final = 9.0
-"""By then a subframe has told the polarity; before, half a cycle may be put in [s]."""
-SETTLED_S: Final = 1.5
-"""Left out at both ends of the motion: its ramps."""
+from deepseis_bringup.graph_payloads import run_graph
+from deepseis_bringup.loop_measures import pooled, thermal_deg
+from deepseis_bringup.offline import Output, encode
 
 Say = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class Loop:
-    """A way to run the trackers."""
-
-    name: str
-    aiding: str
-    bandwidth_hz: float
-    tracker: Mapping[str, Any]
-    imu: str = ""
-
-
-def conventional(bandwidth_hz: float) -> Loop:
-    """Return the thesis' conventional loop."""
-    settings = {
-        "pll_order": 2,
-        "pll_bandwidth_hz": bandwidth_hz,
-        "loop_design": "analog",
-        "relock_s": 0.0,  # a lost loop stays lost, as the thesis shows it
-    }
-    return Loop(f"conventional {bandwidth_hz:g} Hz", "", bandwidth_hz, settings)
-
-
-def aided(bandwidth_hz: float, imu: str = "") -> Loop:
-    """Return a loop aided by the fusion."""
-    name = f"aided {bandwidth_hz:g} Hz" + (f", {imu}" if imu else "")
-    settings = {"aided_order": 2, "aided_bandwidth_hz": bandwidth_hz}
-    return Loop(name, "fusion", bandwidth_hz, settings, imu)
-
 
 LOOPS: Final = (conventional(15.0), conventional(8.0), aided(8.0), aided(5.0), aided(3.0))
 MEMS: Final = aided(8.0, "mti-g")
@@ -112,97 +68,6 @@ TABLES: Final = {
 }
 
 
-@dataclass
-class Outcome:
-    """What one loop did in one scenario."""
-
-    loop: Loop
-    still: list[LoopFigures]
-    moving: list[LoopFigures]
-    tracks: Mapping[str, Columns] = field(default_factory=dict)
-
-    def satellite(self) -> LoopFigures:
-        """Return the figures, moving, of the satellite nearest to `ELEVATION_DEG`."""
-        return min(self.moving, key=lambda item: abs(item.elevation_deg - ELEVATION_DEG))
-
-    def ratios(self) -> list[float]:
-        """Return true phase error over thermal limit of every satellite, moving."""
-        return [
-            item.own_rms / thermal_deg(self.loop.bandwidth_hz, item.cn0_dbhz - QUANTISING_DB)
-            for item in self.moving
-        ]
-
-
-class Scene:
-    """One simulated scenario and its runs.
-
-    Parameters
-    ----------
-    name : str
-        Scenario.
-    folder : Path
-        For its files.
-    short : bool
-        Its short form.
-    satellites : int
-        How many to track, in the order of names.
-    """
-
-    def __init__(self, name: str, folder: Path, *, short: bool, imu: str = "") -> None:
-        settings = [f"imu.grade={imu}"] if imu else []
-        self.name, self.folder = name, folder / (name + imu)
-        self.scenario = load_scenario(name, short=short, settings=settings)
-        simulate(self.scenario, self.folder, progress=False)
-        self.truth = CarrierTruth.read(self.folder / "truth.npz")
-        summary = json.loads((self.folder / "summary.json").read_text())
-        begin, end = summary["motion_begin_s"], summary["motion_end_s"]
-        self.still = (max(POLARITY_S, begin - 11.0), begin - 0.5)
-        self.moving = (begin + SETTLED_S, end - SETTLED_S)
-        self.stands_in = bool(summary["motion_stands_in"])
-
-    def config(self, loop: Loop) -> GraphConfig:
-        """Return the graph for a loop, with the orbits and the place a station knows."""
-        bag, nav = self.folder / "bag", str(self.folder / "nav.rnx")
-        with np.load(self.folder / "truth.npz") as truth:
-            antenna = truth["antenna_ecef_m"][0].tolist()
-        known = {"nav_file": nav, "position_ecef": antenna}
-        week = {"reference_week": self.scenario.start.week}
-        parameters: dict[str, dict[str, Any]] = {
-            "pvt": dict(known),
-            "acquisition": {**known, **week},
-            "tracker": {**week, **loop.tracker},
-        }
-        if loop.aiding == "fusion":
-            parameters |= inertial_parameters(bag, IfBag(bag))
-            parameters["fusion"]["nav_file"] = nav
-        return GraphConfig(
-            source={"file": str(bag)},
-            sample_rate_hz=RATE_HZ,
-            satellites=self.truth.satellites,
-            aiding=loop.aiding,
-            parameters=parameters,
-        )
-
-    def run(self, loop: Loop, listen: Callable[[Output], None] | None = None) -> Outcome:
-        """Work through the scenario with a loop, in this process."""
-        tracks = Tracks()
-        for output in OfflineChain(self.config(loop)).run():
-            if output.topic.startswith("tracking/"):
-                tracks.add(output.value)
-            if listen is not None:
-                listen(output)
-        found = tracks.finish()
-        still, moving = (
-            measure(found, self.truth, RATE_HZ, span, self.still)
-            for span in (self.still, self.moving)
-        )
-        held = {item.satellite for item in still if item.locked > 0.99}
-        still, moving = (
-            [item for item in part if item.satellite in held] for part in (still, moving)
-        )
-        return Outcome(loop, still, moving, found)
-
-
 def accept_tracking(folder: Path, *, short: bool, say: Say = lambda _text: None) -> Acceptance:
     """Repeat the thesis' tables of tracking.
 
@@ -224,7 +89,8 @@ def accept_tracking(folder: Path, *, short: bool, say: Say = lambda _text: None)
             outcomes = [_run(scene, loop, say) for loop in LOOPS]
             if name != "shake-table":
                 say(f"{name}: simulating with {MEMS.imu}")
-                other = Scene(name, Path(place), short=short, imu=MEMS.imu)
+                grade = [f"imu.grade={MEMS.imu}"]
+                other = Scene(name, Path(place), short=short, settings=grade, label=MEMS.imu)
                 outcomes.append(_run(other, MEMS, say))
             if scene.stands_in:
                 acceptance.remarks.append(f"{name}: an artificial motion stands in.")
@@ -235,8 +101,71 @@ def accept_tracking(folder: Path, *, short: bool, say: Say = lambda _text: None)
             if name == "sine-2hz":
                 say(f"{name}: over DDS")
                 acceptance.add(_same_bytes(scene, aided(8.0), Path(place) / "dds"))
+        for more in (shaken_oscillator, high_dynamics):
+            acceptance.add(*more(Path(place), short, say))
     acceptance.write(folder)
     return acceptance
+
+
+def shaken_oscillator(place: Path, short: bool, say: Say) -> list[Row]:
+    """Let the oscillator ride on the table; aid with what it feels, and without."""
+    say("sine-1hz: simulating with the oscillator on the table")
+    settings = [
+        "receiver.oscillator.on_table=true",
+        "receiver.oscillator.g_sensitivity=[1.0e-9, 0.0, 0.0]",
+    ]
+    scene = Scene("sine-1hz", place, short=short, settings=settings, label="oscillator")
+    rows = []
+    for known, text in ((False, "without g-terms"), (True, "with g-terms")):
+        loop = replace(aided(8.0), fusion={"oscillator_on_body": known})
+        outcome = _run(scene, loop, say)
+        scenario = f"sine-1hz, oscillator-on-table, {loop.name}, {text}"
+        common = [
+            float(np.sqrt(max(item.error_rms**2 - item.own_rms**2, 0.0)))
+            for item in outcome.moving
+        ]
+        rows += [
+            Row("oscillator on the table", scenario, "common phase error, all satellites", "deg",
+                pooled(common)),
+            Row("oscillator on the table", scenario, "true phase error / thermal limit", "-",
+                pooled(outcome.ratios()), limit=1.0),
+        ]  # fmt: skip
+    return rows
+
+
+def high_dynamics(place: Path, short: bool, say: Say) -> list[Row]:
+    """Fly the Doppler-aided paper's profile: 25 g/s, 50 g, 2450 m/s at 35 dB-Hz."""
+    say("high-g: simulating")
+    scene = Scene("high-g", place, short=short)
+    third = {"pll_order": 3, "pll_bandwidth_hz": 25.0, "integration_ms": 1}
+    narrow = aided(3.0)
+    loops = (
+        Loop("conventional 25 Hz order 3, 1 ms", "", 25.0, third),
+        replace(narrow, name="aided 3 Hz, velocity form"),
+        replace(
+            narrow,
+            name="aided 3 Hz, acceleration form",
+            tracker={**narrow.tracker, "aiding_form": "acceleration"},
+        ),
+    )
+    rows = []
+    for loop in loops:
+        outcome = _run(scene, loop, say)
+        held = sum(item.locked > 0.99 and not item.slips for item in outcome.moving)
+        of = float(len(outcome.moving))
+        published = "holds" if loop.aiding else "loses lock near 40 g"
+        goal = Goal.at_least(of) if loop.aiding else None
+        rows.append(
+            Row("D figures 9 to 13", f"high-g, {loop.name}", "satellites held without slip", "-",
+                float(held), published, goal, of)
+        )  # fmt: skip
+        if loop.aiding:
+            rows.append(
+                Row("D figures 9 to 13", f"high-g, {loop.name}",
+                    "true phase error / thermal limit, all satellites", "-",
+                    pooled(outcome.ratios()), goal=Goal.at_most(1.10), limit=1.0)
+            )  # fmt: skip
+    return rows
 
 
 def _run(scene: Scene, loop: Loop, say: Say) -> Outcome:
@@ -317,8 +246,6 @@ def _figures(scene: Scene, outcomes: list[Outcome]) -> list[Any]:
 
 def _same_bytes(scene: Scene, loop: Loop, folder: Path) -> Row:
     """Run the graph over DDS and compare its payloads with the chain's, topic by topic."""
-    from deepseis_bringup.graph_payloads import run_graph
-
     payloads: dict[str, list[bytes]] = {}
 
     def listen(output: Output) -> None:
