@@ -169,4 +169,3 @@ def autocorrelation(values, lag=1):
     """Return the correlation of a series with itself, a column each."""
     x = values - values.mean(axis=0)
     return (x[lag:] * x[:-lag]).mean(axis=0) / (x * x).mean(axis=0)
-

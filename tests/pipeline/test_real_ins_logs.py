@@ -1,4 +1,4 @@
-"""Logs of real IMUs and receivers through the loosely coupled filter: innovations as large as said.
+"""Logs of real IMUs and receivers through the loose filter: innovations are as large as said.
 
 Noise of GNSS is tuned on the first half of each log, horizontally and vertically: one factor
 each. On the second half the mean normalised square of innovations must lie in its 95 % band.
@@ -135,10 +135,13 @@ def assert_consistent(flight, half, end, name):
     assert not failed
 
 
-# PSINS: a car. Ranges were smoothed by phase: noise of centimetres on an offset of metres, which
-# is the same for a set of satellites and new where smoothing began anew. So the start is at a
-# fix, and fixes with fewer satellites than the seven of the start (a blockage of 12 s) are left
-# out. Times of the IMU lag behind those of GNSS, by what is found on the first half.
+# PSINS: a car. Ranges were smoothed by phase: noise of centimetres on an offset of metres that
+# stays, so the start is at a fix. Fixes with fewer satellites than the seven of the start are left
+# out (a blockage of 12 s). How far the IMU's times lag behind GNSS and where the antenna is,
+# nobody tells. Both fitted to either half of the drive for itself give a lag of 0.47 and 0.44 s
+# and an antenna 0.6 and 0.4 m behind, 0.9 and 0.8 m right of the IMU. With what a half of 8
+# positions can tell, only the lag is found here, on the first half, and the noise that is tuned
+# has the lever arm in it: 0.13 m.
 
 PSINS_GRADE = ImuGrade(
     gyro_bias_deg_per_h=1.0, gyro_instability_deg_per_h=0.5, gyro_walk_deg_per_sqrt_h=0.05,
@@ -171,38 +174,42 @@ def still(log, begin, end):
     return alignment.still_mean(log.delta_theta[part], log.delta_vel[part], log.dt[part])
 
 
-def lag(setup, begin, half, offsets):
-    """Return the offset with the smallest mean of normalised squares, outliers clipped."""
+def misfit(setup, begin, half):
+    """Return the mean of normalised squares of a span, outliers clipped, of both kinds."""
+    flight, total = fly(setup), 0.0
+    for kind in KINDS:
+        pairs = zip(flight.times[kind], flight.innovations[kind], strict=True)
+        squares = [i.normalised_squared for t, i in pairs if begin <= t < half]
+        total += float(np.mean(np.minimum(squares, 30.0)))
+    return total
 
-    def cost(offset):
-        flight, total = fly(replace(setup, offset=float(offset))), 0.0
-        for kind in KINDS:
-            pairs = zip(flight.times[kind], flight.innovations[kind], strict=True)
-            squares = [i.normalised_squared for t, i in pairs if begin <= t < half]
-            total += np.mean(np.minimum(squares, 30.0))
-        return total
 
-    return float(offsets[int(np.argmin([cost(offset) for offset in offsets]))])
+def median_misfit(setup, begin, half):
+    """Return the sum of both kinds' medians of normalised squares: blind to the blockage."""
+    flight = fly(setup)
+    return sum(float(np.median(flight.accepted(kind, begin, half)[1])) for kind in KINDS)
+
+
+def best_offset(setup, begin, half, offsets, cost):
+    """Return the offset between the clocks at which the misfit is smallest."""
+    costs = [cost(replace(setup, offset=float(offset)), begin, half) for offset in offsets]
+    return float(offsets[int(np.argmin(costs))])
 
 
 def test_a_car_with_a_good_imu_is_consistent(car):
     """Drive from 68 to 136 s; the halves meet at 102 s. Position is correlated over 4 s."""
     begin, half, end = 68.0, 102.0, 137.0
-    offset = lag(car, begin, half, np.arange(0.0, 0.81, 0.05))
+    offset = best_offset(car, begin, half, np.arange(0.0, 0.81, 0.05), median_misfit)
     flight = fly(tuned(replace(car, offset=offset), begin, half))
-    print(f"psins: IMU {offset:.2f} s behind; sds of heading {heading_sd(flight):.2f} deg")
+    print(f"psins: IMU {offset:.2f} s behind")
     assert_consistent(flight, half, end, "psins")
-
-
-def heading_sd(flight):
-    return np.degrees(flight.filter.sd[8])
 
 
 def test_the_drive_confirms_the_heading_that_gyrocompassing_found(car):
     """Gyrocompassed to its sd against what the filter knows after the drive: within 3 sigma."""
     before = rotation.euler_from_quat(car.nav.quat_nb)[2]
     sd = np.sqrt(car.sds["attitude_sd"][2, 2])
-    flight = fly(replace(car, offset=0.4, every={"position": 4.0, "velocity": 1.0}))
+    flight = fly(replace(car, offset=0.45))
     # Carried back to the start by the gyroscopes alone, 0.05 deg/sqrt(h) and 1 deg/h: 0.05 deg.
     log = car.log
     part = slice(ins_logs.ended_before(log, car.start), len(log.dt))
@@ -304,7 +311,8 @@ def test_a_walk_with_a_phones_imu_is_consistent_and_near_the_rtk_between_fixes(w
     # RTK's formal centimetre is not what these fixes agree with the velocities to.
     coarse = {"position": np.full(3, 5.0), "velocity": np.full(3, 1.5)}
     dense = replace(walker, every={"position": 0.25, "velocity": 0.25}, factors=coarse)
-    offset = lag(dense, begin, half, np.arange(-0.3, 0.21, 0.02))
+    offsets = np.arange(-0.3, 0.21, 0.02)
+    offset = best_offset(dense, begin, half, offsets, misfit)
     flight = fly(tuned(replace(walker, offset=offset), begin, half))
     print(f"walk: IMU {offset:.2f} s off (its authors: about -0.1 s)")
     assert offset == pytest.approx(-0.1, abs=0.06)

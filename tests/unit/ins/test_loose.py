@@ -48,10 +48,10 @@ def quake(gnss_hz, outage=(1e9, 1e9)):
     return measurements
 
 
-def ensemble(grade, ideal, gnss_hz, *, told=None, **options):
+def ensemble(grade, ideal, gnss_hz, *, told=None, count=RUNS, **options):
     """Fly so many units; other units and other noise for every grade and rate."""
     out, first = [], 1000 * GRADES.index(grade) + 100 * gnss_hz if grade in GRADES else 0
-    for seed in range(first, first + RUNS):
+    for seed in range(first, first + count):
         unit = runs.Unit(grade, CIRCLE, SECONDS, seed, ideal, told=told)
         told_when = quake(gnss_hz, **options)(unit)
         out.append(runs.fly(unit, SECONDS, told_when, seed=seed, rate_hz=gnss_hz))
@@ -95,7 +95,7 @@ def test_considering_scale_factors_keeps_the_filter_honest_where_they_matter(cir
     blind = replace(true, accel_scale_ppm=0.0, accel_bias=0.05)  # gravity's share as a bias
     squares = {}
     for name, told in (("considers", true), ("does not", blind)):
-        flown = ensemble(true, circle, 10, told=told)
+        flown = ensemble(true, circle, 10, told=told, count=10)
         squares[name] = np.concatenate([run.squares("velocity") for run in flown])
     low, high = chi_square_band(3, squares["considers"].size)
     assert low < squares["considers"].mean() < high
@@ -300,6 +300,7 @@ def test_widening_and_a_new_state_serve_a_gap():
         (lambda: new_filter(LooseConfig(covariance_step=0.0)), "covariance_step"),
         (lambda: new_filter(grade="accelerometers"), "gyroscopes"),
         (lambda: new_filter(position_sd=[-1.0, 1.0, 1.0]), "position"),
+        (lambda: new_filter(attitude_sd=np.full((3, 3), np.nan)), "attitude"),
         (lambda: new_filter(gyro_bias=[0.0, np.nan, 0.0]), "gyro bias"),
         (lambda: new_filter().propagate(np.zeros((2, 3)), np.zeros((3, 3)), 0.01), "shapes"),
         (

@@ -129,8 +129,7 @@ class LooseFilter:
     --------
     A unit at rest for a second, its bias unknown:
 
-    >>> from deepseis_core.geodesy import normal_gravity
-    from deepseis_core.imu_grades import grade_named
+    >>> from deepseis_core.imu_grades import grade_named
     >>> start = NavState(0.6, 2.4, 50.0, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
     >>> filter = LooseFilter(
     ...     LooseConfig(), grade_named("span-fsas"), start, attitude_sd=[1e-3] * 3,

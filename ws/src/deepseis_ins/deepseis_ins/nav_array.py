@@ -71,6 +71,8 @@ def covariance(name: str, sd: ArrayLike) -> FloatArray:
     """Return the covariance, shape (3, 3), of standard deviations, or the one given."""
     array = np.asarray(sd, np.float64)
     if array.shape == (3, 3):
+        if not np.isfinite(array).all() or not np.allclose(array, array.T, rtol=1e-9, atol=0.0):
+            raise InputError(f"covariance of the {name}", "is not finite and symmetric")
         return array
     array = np.broadcast_to(array, (3,))
     if not (np.isfinite(array).all() and np.all(array >= 0.0)):
