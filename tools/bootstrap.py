@@ -29,6 +29,8 @@ CMAKE_HOOK = ROOT / "tools" / "ros_wheels.cmake"
 VENV = ROOT / ".venv"
 PYTHON = VENV / "bin" / "python"
 VENV_STAMP = VENV / ".complete"
+KERNEL_CACHES = 4
+"""Folders of compiled kernels that are kept."""
 BUILD = ROOT / ".build"
 BUILDING = BUILD / "building"
 ENVIRONMENT = BUILD / "environment.json"
@@ -143,8 +145,28 @@ def full_environment(workspace: dict[str, str]) -> dict[str, str]:
         environment[name] = ":".join(dict.fromkeys(entry for entry in entries if entry))
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     environment.setdefault("ROS_LOG_DIR", str(BUILD / "ros_log"))
-    environment.setdefault("NUMBA_CACHE_DIR", str(VENV / "numba_cache"))
+    environment.setdefault("NUMBA_CACHE_DIR", str(kernel_cache()))
     return environment
+
+
+def kernel_cache() -> Path:
+    """Name the folder of compiled kernels, one for each state of all their sources.
+
+    Numba looks at a kernel's own file only: with one folder for all, a kernel would go on calling
+    what another file held when it was compiled.
+    """
+    digest = hashlib.sha256()
+    for path in sorted((ROOT / "ws" / "src").glob("*/deepseis_*/**/*.py")):
+        content = path.read_bytes()
+        if b"njit" in content or path.name == "constants.py":
+            digest.update(f"{path.name} {len(content)}\n".encode() + content)
+    folder = VENV / "numba_cache" / digest.hexdigest()[:16]
+    if not folder.is_dir():
+        known = sorted(folder.parent.glob("*"), key=lambda item: item.stat().st_mtime)
+        for old in known[: max(0, len(known) - KERNEL_CACHES + 1)]:
+            shutil.rmtree(old, ignore_errors=True) if old.is_dir() else old.unlink()
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 # --- set-up -------------------------------------------------------------------------------------

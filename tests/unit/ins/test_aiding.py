@@ -1,6 +1,7 @@
 """Aiding Doppler: an independent simulator's phase, signs, knots, speed."""
 
 import time
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -108,6 +109,13 @@ def test_neighbouring_spans_share_knots_and_any_cut_gives_the_same_numbers(rate_
         assert_array_equal(part.carrier_doppler_rate, whole.carrier_doppler_rate[:, columns])
 
 
+class Knots(NamedTuple):
+    """Where knots lie [samples]."""
+
+    first: float
+    step: float
+
+
 @pytest.mark.parametrize(("frequency", "tolerance_hz"), [(2.0, 1e-9), (10.0, 1e-7), (100.0, 1e-4)])
 def test_cubics_between_knots_leave_the_stated_error(frequency, tolerance_hz):
     grid = KnotGrid.of_span(0, BLOCK, RATE)
@@ -119,7 +127,8 @@ def test_cubics_between_knots_leave_the_stated_error(frequency, tolerance_hz):
     direct = predictor.predict(fine, shaken(samples / RATE, frequency, 2 * 9.8), TEN, PACKED)
     for i in range(len(TEN)):
         table = knots.carrier_doppler_hz[i], knots.carrier_doppler_rate[i]
-        between = [aid_at(float(s), *table, grid.first, grid.step, RATE) for s in samples]
+        aid = Knots(float(grid.first), float(grid.step))
+        between = [aid_at(float(s), aid, *table, RATE) for s in samples]
         assert_allclose(between, direct.carrier_doppler_hz[i], rtol=0, atol=tolerance_hz + 1e-9)
 
 
