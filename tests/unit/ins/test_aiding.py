@@ -1,8 +1,6 @@
 """Aiding Doppler: an independent simulator's phase, signs, knots, speed."""
 
 import time
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -16,6 +14,7 @@ from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_core.types import Ephemeris
 from deepseis_ins.aiding import DopplerPredictor, KnotGrid
 from deepseis_ins.truth_motion import TruthMotion
+from deepseis_tracking.channel_state import AID
 from deepseis_tracking.nco import aid_at
 
 BLOCK = 80_000
@@ -109,13 +108,6 @@ def test_neighbouring_spans_share_knots_and_any_cut_gives_the_same_numbers(rate_
         assert_array_equal(part.carrier_doppler_rate, whole.carrier_doppler_rate[:, columns])
 
 
-class Knots(NamedTuple):
-    """Where knots lie [samples]."""
-
-    first: float
-    step: float
-
-
 @pytest.mark.parametrize(("frequency", "tolerance_hz"), [(2.0, 1e-9), (10.0, 1e-7), (100.0, 1e-4)])
 def test_cubics_between_knots_leave_the_stated_error(frequency, tolerance_hz):
     grid = KnotGrid.of_span(0, BLOCK, RATE)
@@ -127,7 +119,8 @@ def test_cubics_between_knots_leave_the_stated_error(frequency, tolerance_hz):
     direct = predictor.predict(fine, shaken(samples / RATE, frequency, 2 * 9.8), TEN, PACKED)
     for i in range(len(TEN)):
         table = knots.carrier_doppler_hz[i], knots.carrier_doppler_rate[i]
-        aid = Knots(float(grid.first), float(grid.step))
+        aid = np.zeros(1, AID)[0]
+        aid["first"], aid["step"] = grid.first, grid.step
         between = [aid_at(float(s), aid, *table, RATE) for s in samples]
         assert_allclose(between, direct.carrier_doppler_hz[i], rtol=0, atol=tolerance_hz + 1e-9)
 
