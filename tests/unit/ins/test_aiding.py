@@ -1,6 +1,7 @@
 """Aiding Doppler: an independent simulator's phase, signs, knots, speed."""
 
 import time
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
