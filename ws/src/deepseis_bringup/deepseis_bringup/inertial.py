@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from deepseis_core.errors import InputError
+from deepseis_core.geodesy import ecef_from_enu
 from deepseis_core.imu_grades import GRADES
 from deepseis_core.sample_clock import SampleClock
 from deepseis_frontend.if_bag import bag_files
@@ -59,6 +60,22 @@ def inertial_parameters(path: Path, source: IfSource) -> dict[str, dict[str, Any
         "imu_orientation_xyzw": station.imu_orientation_xyzw.tolist(),
     }
     return {"motion_state": common, "fusion": {**common, **geometry}}
+
+
+def assistance(bag: Path) -> dict[str, dict[str, Any]]:
+    """Return what lets a station start at once: its place, and orbits beside its bag.
+
+    Parameters of ``pvt``, ``acquisition`` and ``fusion``; empty if there is no ``nav.rnx`` in the
+    bag's folder or the bag does not describe its station.
+    """
+    nav, about = bag.resolve().parent / "nav.rnx", read_station(bag)
+    if not nav.is_file() or about is None:
+        return {}
+    station, _ = about
+    antenna = ecef_from_enu(station.antenna_lever_arm, station.monument_ecef)
+    orbits = {"nav_file": str(nav)}
+    known = {**orbits, "position_ecef": antenna.tolist()}
+    return {"pvt": known, "acquisition": dict(known), "fusion": orbits}
 
 
 def _clock(source: IfSource) -> SampleClock:

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
 from deepseis_bringup.graph import ALL_SATELLITES, GraphConfig, build_graph
-from deepseis_bringup.inertial import has_imu, inertial_parameters
+from deepseis_bringup.inertial import assistance, has_imu, inertial_parameters
 from deepseis_bringup.run_records import input_hash, recorded_run, versions, with_records
 from deepseis_bringup.supervisor import NodeFailureError, Supervisor, own_domain, running
 from deepseis_bringup.watch import GraphWatch
@@ -273,7 +273,8 @@ def replay(
 ) -> dict[str, Any]:
     """Run the graph again on a recorded bag's samples, with the parameters of the recorded run.
 
-    Where the bag lies in a folder with the truth of its simulation, the report compares with it.
+    Where the bag lies in a folder with the truth of its simulation, the report compares with it;
+    with an IMU in the bag and orbits (``nav.rnx``) beside it the station starts assisted.
     """
     from deepseis_bringup.report import write_report
 
@@ -282,10 +283,16 @@ def replay(
         aiding = "fusion" if has_imu(bag, open_source(Selection(str(bag)))) else ""
         options = replace(options, aiding=aiding)
     satellites = recorded.satellites if options.satellites == ALL_SATELLITES else ()
+    known = assistance(bag) if options.aiding == "fusion" else {}
+    layers = (known, recorded.parameters, options.parameters)
+    kinds = {kind for layer in layers for kind in layer}
     options = replace(
         options,
         satellites=satellites or options.satellites,
-        parameters={**recorded.parameters, **options.parameters},
+        parameters={
+            kind: {name: value for layer in layers for name, value in layer.get(kind, {}).items()}
+            for kind in sorted(kinds)
+        },
     )
     figures = run_recording(Selection(str(bag)), folder, options)
     with console.status("writing the report"):
