@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deepseis_bringup.inertial import has_imu
 from deepseis_bringup.simulate import simulate
 from deepseis_core.errors import InputError
 from deepseis_core.sample_clock import SampleClock
@@ -52,3 +53,12 @@ def test_the_station_of_a_bag_is_found(tmp_path):
     station, utc_ns = read_station(path)
     assert utc_ns == clock.start_utc_ns
     assert station.imu == "span-fsas"
+
+
+@pytest.mark.parametrize(
+    ("imu", "found"),
+    [(ImuConfig(), True), (ImuConfig(grade="accelerometers"), False), (None, False)],
+)
+def test_an_imu_with_gyroscopes_is_noticed(tmp_path, imu, found):
+    path, _ = bag(tmp_path / "a", imu=imu)
+    assert has_imu(path) == found

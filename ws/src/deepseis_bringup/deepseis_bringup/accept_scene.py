@@ -159,8 +159,10 @@ class Scene:
             measure(found, self.truth, RATE_HZ, span, self.still)
             for span in (self.still, self.moving)
         )
-        held = {item.satellite for item in still if item.locked > 0.99}
+        # Left out is what the sky hides, never what the loops lost: that is no number, and misses.
+        seen = {item.satellite for item in still if np.isfinite(item.cn0_dbhz)}
+        seen &= {item.satellite for item in moving if np.isfinite(item.cn0_dbhz)}
         still, moving = (
-            [item for item in part if item.satellite in held] for part in (still, moving)
+            [item for item in part if item.satellite in seen] for part in (still, moving)
         )
         return Outcome(loop, still, moving, found)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from deepseis_core.errors import InputError
 from deepseis_core.geodesy import ecef_from_enu
 from deepseis_core.imu_grades import GRADES
+from deepseis_core.imu_message import decode_imu
+from deepseis_core.mcap_scan import McapScan
 from deepseis_core.sample_clock import SampleClock
 from deepseis_frontend.if_bag import bag_files
 from deepseis_frontend.if_stream import IfSource
-from deepseis_frontend.imu_bag import ImuBag
-from deepseis_frontend.nodes.station_bag import read_station
+from deepseis_frontend.imu_bag import TOPIC, ImuBag
+from deepseis_frontend.nodes.station_bag import LOOKED_AT, read_station
 
 
 def is_bag(path: Path) -> bool:
@@ -20,16 +23,23 @@ def is_bag(path: Path) -> bool:
     return path.suffix == ".mcap" or (path.is_dir() and any(path.glob("*.mcap")))
 
 
-def has_imu(path: Path, source: IfSource) -> bool:
-    """Tell whether a recording is a bag that holds an IMU with gyroscopes and its station."""
-    if not is_bag(path) or not bag_files(path):
+def has_imu(path: Path) -> bool:
+    """Tell whether a bag begins with samples of an IMU that has gyroscopes.
+
+    Only the first messages are looked at; what is wrong with an IMU that is there comes out when
+    it is read (`inertial_parameters`).
+    """
+    if not is_bag(path):
         return False
-    try:
-        imu = ImuBag(path, _clock(source))
-    except InputError:
-        return False
-    sample = next(imu.samples())
-    return sample.angular_velocity_variance >= 0.0 and read_station(path) is not None
+    first = McapScan(bag_files(path)[0], tolerant=True).messages()
+    for message in islice(first, LOOKED_AT):
+        if ("/" + message.channel.topic).endswith("/" + TOPIC):
+            try:
+                sample, _ = decode_imu(message.data, SampleClock(0, 1.0))
+            except ValueError:
+                return True  # no Imu: its reader says what is wrong
+            return sample.angular_velocity_variance >= 0.0
+    return False
 
 
 def inertial_parameters(path: Path, source: IfSource) -> dict[str, dict[str, Any]]:

@@ -24,6 +24,7 @@ from deepseis_core.gps_time import GpsTime
 from deepseis_core.sample_clock import utc_ns_from_iso
 from deepseis_frontend.if_open import open_source
 from deepseis_frontend.if_stream import IfSource
+from deepseis_frontend.nodes.station_bag import read_station
 
 console = Console(stderr=True)
 
@@ -280,8 +281,11 @@ def replay(
 
     recorded = recorded_run(bag)
     if options.aiding == "auto":
-        aiding = "fusion" if has_imu(bag, open_source(Selection(str(bag)))) else ""
-        options = replace(options, aiding=aiding)
+        there = has_imu(bag)
+        described = there and read_station(bag) is not None
+        if there and not described:
+            console.print("deepseis: the IMU is left aside: the bag does not describe its station")
+        options = replace(options, aiding="fusion" if described else "")
     satellites = recorded.satellites if options.satellites == ALL_SATELLITES else ()
     known = assistance(bag) if options.aiding == "fusion" else {}
     layers = (known, recorded.parameters, options.parameters)
