@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import graph_runs
@@ -46,7 +47,8 @@ def graph(recording, folder, satellites, **options):
     selection = Selection(str(recording.if_path))
     given = RunOptions(satellites=tuple(satellites), **options)
     folder.mkdir(parents=True, exist_ok=True)
-    return build_graph(graph_config(selection, open_source(selection), folder, given))
+    config = graph_config(selection, open_source(selection), folder, given)
+    return build_graph(replace(config, watched=True))
 
 
 def test_a_tracker_killed_in_lockstep_ends_the_run_and_is_named(recorded, tmp_path):

@@ -4,6 +4,7 @@ import contextlib
 import os
 import signal
 import time
+from dataclasses import replace
 
 import graph_runs
 import numpy as np
@@ -45,8 +46,8 @@ def test_in_real_time_the_bytes_are_those_of_lockstep(sky, tmp_path):
         for mode in ("lockstep", "realtime")
     }
     live, replayed = runs["realtime"], runs["lockstep"]
-    # Never faster than the clock; slower only while a busy machine catches up.
-    assert LENGTH <= live.figures["graph_time_s"] < 2 * LENGTH
+    # At the clock's pace: an unpaced run takes a second. The watch may see its first block late.
+    assert 0.9 * LENGTH <= live.figures["graph_time_s"] < 2 * LENGTH
     one, other = live.payloads(), replayed.payloads()
     assert one["/if/samples"] == other["/if/samples"]
     assert len(other["/gnss/observations"]) > 150
@@ -67,7 +68,8 @@ def run_with_a_pause(victim, at, recording, folder, satellites, **options):
         record_if=False,
         **options,
     )
-    specs = build_graph(graph_config(selection, open_source(selection), folder, given))
+    config = graph_config(selection, open_source(selection), folder, given)
+    specs = build_graph(replace(config, watched=True))
     with own_domain() as environment:
         nodes = Supervisor(specs, folder, environment=environment)
         with running(nodes), GraphWatch(environment) as watch:

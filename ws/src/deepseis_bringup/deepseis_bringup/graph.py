@@ -35,6 +35,9 @@ TYPES: Mapping[str, tuple[str, str]] = {
 }
 """Type and quality of service of every topic that is recorded or played."""
 
+ONLOOKER = "watch"
+"""Flow member that looks on and takes no part."""
+
 KINDS = (
     *("if_source", "imu_source", "acquisition", "tracker", "pvt", "motion_state", "fusion"),
     *("truth_aiding", "recorder"),
@@ -49,6 +52,7 @@ class GraphConfig:
     ``one_process`` hosts all satellites together; otherwise each has its own process.
     ``aiding`` names who publishes aiding: empty, ``fusion`` (the inertial half of the graph), or
     ``truth`` (bench only).
+    ``watched``: a `deepseis_bringup.watch.GraphWatch` looks on, and the source waits for it.
     ``parameters`` are overrides by node kind (``if_source``, ``tracker``, ``pvt``, ...).
     """
 
@@ -61,6 +65,7 @@ class GraphConfig:
     record_dir: str = ""
     record_if: bool = True
     output_dir: str = ""
+    watched: bool = False
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
@@ -191,7 +196,8 @@ def build_graph(config: GraphConfig) -> list[NodeSpec]:
     if config.record_dir:
         nodes.append(_recorder(config, [*nodes, source]))
     members = [spec.name for spec in nodes]
-    nodes.append(_with(source, {"members": members}))
+    onlookers = {"onlookers": [ONLOOKER]} if config.watched else {}
+    nodes.append(_with(source, {"members": members, **onlookers}))
     return [_finish(spec, nodes, config) for spec in nodes]
 
 

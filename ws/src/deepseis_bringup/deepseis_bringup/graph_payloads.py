@@ -33,7 +33,13 @@ def run_graph(config: GraphConfig, folder: Path) -> dict[str, list[bytes]]:
         A node failed, or the graph stands still.
     """
     folder.mkdir(parents=True)
-    here = replace(config, record_dir=str(folder / "bag"), record_if=False, output_dir=str(folder))
+    here = replace(
+        config,
+        record_dir=str(folder / "bag"),
+        record_if=False,
+        output_dir=str(folder),
+        watched=True,
+    )
     with own_domain() as environment:
         supervisor = Supervisor(build_graph(here), folder, environment=environment)
         members = [spec.name for spec in supervisor.specs if spec.name != "if_source"]

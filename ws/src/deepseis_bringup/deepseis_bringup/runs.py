@@ -167,7 +167,9 @@ def run_recording(
     sha256 = input_hash(Path(selection.file))
     config = with_records(graph_config(selection, source, folder, options), sha256)
     with own_domain() as environment:
-        supervisor = Supervisor(build_graph(config), folder, environment=environment)
+        supervisor = Supervisor(
+            build_graph(replace(config, watched=True)), folder, environment=environment
+        )
         members = [spec.name for spec in supervisor.specs if spec.name != "if_source"]
         with running(supervisor), GraphWatch(environment, members=members) as watch:
             elapsed = _follow(supervisor, watch, source, options, progress)

@@ -10,6 +10,7 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -155,7 +156,9 @@ def run_station(
         The source cannot be used, a graph of this name runs already, or a node failed.
     """
     graph = config.graph(folder)
-    supervisor = Supervisor(build_graph(graph), folder, namespace=config.station)
+    supervisor = Supervisor(
+        build_graph(replace(graph, watched=True)), folder, namespace=config.station
+    )
     members = [spec.name for spec in supervisor.specs if spec.name != "if_source"]
     started, reason = time.monotonic(), "end of the source"
     with (

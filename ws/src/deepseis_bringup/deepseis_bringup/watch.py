@@ -12,6 +12,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from deepseis_bringup.graph import ONLOOKER
 from deepseis_core.errors import InputError
 from deepseis_core.ros import qos
 from deepseis_msgs.msg import Watermark
@@ -21,7 +22,10 @@ PATIENCE = 180.0
 
 
 class GraphWatch:
-    """A silent listener on ``flow/if_source``; a context manager.
+    """A listener on ``flow/if_source``; a context manager.
+
+    It says on ``flow/watch`` when it is there: a graph that is described as watched waits for
+    that, since joining may take longer than a short run.
 
     Parameters
     ----------
@@ -55,7 +59,11 @@ class GraphWatch:
         self.started_at = self.ended_at = 0.0
         self.moved_at = time.monotonic()
         self.said: dict[str, Watermark] = {}
-        self.node.create_subscription(
+        self._there = False
+        self._onlooker = self.node.create_publisher(
+            Watermark, f"flow/{ONLOOKER}", qos.STREAM_LATCHED
+        )
+        self._source = self.node.create_subscription(
             Watermark, "flow/if_source", self._on_source, qos.STREAM_LATCHED
         )
         for member in members:
@@ -95,6 +103,9 @@ class GraphWatch:
 
     def poll(self) -> int:
         """Take what has come; returns the last sample sent."""
+        if not self._there and self._source.get_publisher_count():
+            self._there = True
+            self._onlooker.publish(Watermark(node=ONLOOKER, ready=True))
         for _ in range(len(self.said) + 1):
             self.executor.spin_once(timeout_sec=0.0)
         return self.valid_through

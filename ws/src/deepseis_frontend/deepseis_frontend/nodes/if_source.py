@@ -37,6 +37,7 @@ class SourceConfig:
     length_s: float = setting(0.0, "play so much; 0: all [s]", low=0)
     window_blocks: int = setting(32, "credit window, at least D + 3 blocks [blocks]", low=3)
     members: list[str] = setting([], "flow members that must acknowledge (lockstep) [-]")
+    onlookers: list[str] = setting([], "flow members that take no part, waited for at start [-]")
     pace: float = setting(1.0, "realtime pace, times real time [-]", low=0.01, high=100.0)
 
 
@@ -57,6 +58,7 @@ class IfSourceNode(Node):
         self.diagnostics = self.flow.publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
         self.window = CreditWindow(self.config.members, self.config.window_blocks)
         self.flow.follow(self.config.members, self.on_watermark)
+        self.flow.follow(self.config.onlookers, lambda _msg: self.advance())
         self.blocks: Iterator[IfBlockValue] = self.source.blocks()
         self.finished = False
         self.sent, self.last_index, self.reported_s = 0, -1, -1
@@ -71,11 +73,10 @@ class IfSourceNode(Node):
         self.advance()
 
     def members_ready(self) -> bool:
-        """Tell whether every member has its endpoints matched."""
+        """Tell whether every member has its endpoints matched, and the onlookers see."""
         others = self.flow.others
-        return self.flow.ready and all(
-            m in others and others[m].ready for m in self.config.members
-        )
+        awaited = [*self.config.members, *self.config.onlookers]
+        return self.flow.ready and all(m in others and others[m].ready for m in awaited)
 
     def advance(self) -> None:
         """Send blocks as far as credits (lockstep) or the clock (realtime) allow."""
