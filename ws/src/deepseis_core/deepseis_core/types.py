@@ -222,6 +222,66 @@ class Pvt:
     rejected: tuple[str, ...] = ()
 
 
+class PreciseStatus(IntEnum):
+    """Kind of a position from carrier phases."""
+
+    NONE = 0
+    CALIBRATING = 1
+    PHASE = 2
+    FLOAT = 3
+    FIX = 4
+
+
+@dataclass(frozen=True)
+class PrecisePosition:
+    """Antenna from carrier phases, one epoch; the fields of ``PrecisePosition.msg``.
+
+    ``displacement_enu`` [m] is from the surveyed place, east, north, up there.
+    """
+
+    sample_index: int
+    week: int
+    tow_ns: int
+    valid_through: int
+    method: str
+    status: int
+    displacement_enu: FloatArray
+    covariance_enu: FloatArray
+    clock_bias: float
+    clock_bias_sd: float
+    satellites: tuple[str, ...] = ()
+    phase_residual: Float32Array = field(default_factory=_empty)
+    rejected: tuple[str, ...] = ()
+    ratio: float = float("nan")
+    base_age: float = float("nan")
+
+
+class DisplacementSource(IntEnum):
+    """What a ground motion is from."""
+
+    GNSS = 0
+    AIDED = 1
+    FUSED = 2
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """Ground motion at n epochs, east north up, (n, 3) each; fields of ``Displacement.msg``."""
+
+    source: int
+    smoothed: bool
+    valid_through: int
+    interval: float
+    tow_ns: IntArray
+    week: int
+    displacement: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    displacement_sd: Float32Array
+    velocity_sd: Float32Array
+    acceleration_sd: Float32Array
+
+
 @dataclass(frozen=True)
 class Aiding:
     """Predicted Doppler over ``[valid_from, valid_through]`` at uniform knots.
