@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
 from deepseis_bringup.cli_common import Out, add_command, into_run_folder, say
 
-NAMES = ("tracking",)
+REPEATED: Final[Mapping[str, str]] = {
+    "tracking": "accept_tracking",
+}
+"""Module of `deepseis_bringup`, and its function of the same name, that repeats each."""
 
 
 def accept(
-    name: Annotated[str, typer.Argument(help=f"What to repeat: {', '.join(NAMES)}.")],
+    name: Annotated[str, typer.Argument(help=f"What to repeat: {', '.join(REPEATED)}.")],
     output: Out = None,
     short: Annotated[bool, typer.Option("--short", help="Short forms of the scenarios.")] = False,
 ) -> None:
@@ -28,12 +33,12 @@ def accept(
     """
 
     def work(folder: Path) -> None:
-        from deepseis_bringup.accept_tracking import accept_tracking
         from deepseis_core.errors import InputError
 
-        if name not in NAMES:
-            raise InputError(f"accept {name}", "is not known", "known: " + ", ".join(NAMES))
-        acceptance = accept_tracking(folder, short=short, say=say)
+        if name not in REPEATED:
+            raise InputError(f"accept {name}", "is not known", "known: " + ", ".join(REPEATED))
+        module = import_module(f"deepseis_bringup.{REPEATED[name]}")
+        acceptance = getattr(module, REPEATED[name])(folder, short=short, say=say)
         met, goals = acceptance.counts()
         for row in acceptance.rows:
             if row.met is False:
