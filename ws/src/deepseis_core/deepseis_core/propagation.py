@@ -37,8 +37,21 @@ LOS_COLUMNS = 16
 
 
 @njit(cache=True, nogil=True)
-def _geometry(state: FloatArray, delay: float, receiver: FloatArray, out: FloatArray) -> None:
-    """Fill range, its rates, unit vector and turned satellite position (kernel)."""
+def geometry_kernel(
+    state: FloatArray, delay: float, receiver: FloatArray, out: FloatArray
+) -> None:
+    """Fill range, its rates, unit vector and turned satellite position (kernel).
+
+    Parameters
+    ----------
+    state : ndarray, shape (12,)
+        Of the satellite at departure (`ephemeris.satellite_state`).
+    delay : float
+        Time of flight [s].
+    receiver, out : ndarray, shapes (9,) and (16,)
+        A row of those of `line_of_sight_table`; filled are RANGE, RANGE_RATE,
+        RANGE_ACCELERATION, UNIT and SATELLITE.
+    """
     theta = GPS_EARTH_RATE * delay
     s, c = math.sin(theta), math.cos(theta)
     # Position, velocity and acceleration turned into the frame of reception.
@@ -87,7 +100,7 @@ def _one(
     # Each pass shrinks the error (20 ms at first) by v/c < 1e-5: 2e-17 s after the third.
     for _ in range(3):
         satellite_state(row, week, tow_ns, delay - offset, state)
-        _geometry(state, delay, receiver, out)
+        geometry_kernel(state, delay, receiver, out)
         delay = out[0] / SPEED_OF_LIGHT
     east = -(sky[0, 0] * out[3] + sky[0, 1] * out[4])
     north = -(sky[1, 0] * out[3] + sky[1, 1] * out[4] + sky[1, 2] * out[5])

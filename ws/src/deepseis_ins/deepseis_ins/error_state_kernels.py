@@ -205,13 +205,16 @@ def _consider(P, U1, B, G, U):  # type: ignore[no-untyped-def]
 
     The elements of the matrices are independent of each other.
     """
+    width = U.shape[1]
     for i in range(STATES):
-        for j in range(CONSTANTS):
+        for j in range(width):
             U[i, j] = U1[i, j]
     for i in range(MOVING):
         for k in range(REFERENCE, CONSTANTS):
             U[i, k] += G[i, k] * B[k, k]
             for j in range(REFERENCE):
+                U[i, j] += G[i, k] * B[k, j]
+            for j in range(CONSTANTS, width):
                 U[i, j] += G[i, k] * B[k, j]
     for i in range(STATES):
         for j in range(min(i + 1, MOVING)):
@@ -229,6 +232,9 @@ def _consider(P, U1, B, G, U):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def covariance_kernel(P, U, B, model, x, v0, q0, angle_b, gain_b, t):  # type: ignore[no-untyped-def]
     """Carry P, shape (15, 15), and U, shape (15, 21), over a step that led to the state ``x``.
+
+    Columns of U and B beyond the 21 are of what else there is beside inertial navigation, as the
+    clock of `deepseis_ins.tight`; its own dynamics are not applied here.
 
     Parameters
     ----------
@@ -264,7 +270,7 @@ def covariance_kernel(P, U, B, model, x, v0, q0, angle_b, gain_b, t):  # type: i
     G = np.zeros((MOVING, CONSTANTS))
     _drive(C, force_b - model[FORCE_REF : FORCE_REF + 3], omega_b, force_n, t, G)
 
-    A, U1 = np.empty((STATES, STATES)), np.empty((STATES, CONSTANTS))
+    A, U1 = np.empty((STATES, STATES)), np.empty(U.shape)
     _add_noise(P, model, t)
     _apply(Phi, decay, P, A)
     _times_transposed(A, Phi, decay, P)

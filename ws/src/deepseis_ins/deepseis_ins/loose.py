@@ -44,8 +44,6 @@ from deepseis_ins.strapdown_kernels import ATTITUDE, DELTA_THETA, DELTA_VEL, INT
 
 _NOTHING = (0.0, 0.0, 0.0)
 _NO_MATRICES = np.zeros((3, CONSTANTS - 3))
-_ESTIMATED = STATES + 3
-"""The states and the error of the reference attitude; behind them come what is considered."""
 
 
 @dataclass(frozen=True)
@@ -139,6 +137,9 @@ class LooseFilter:
     >>> [round(float(sd), 3) for sd in filter.sd[3:6]]
     [0.017, 0.017, 0.014]
     """
+
+    _estimated = STATES + 3
+    """The states and the error of the reference attitude; behind them come what is considered."""
 
     def __init__(
         self,
@@ -259,7 +260,7 @@ class LooseFilter:
         if not np.isfinite(z).all():
             raise InputError(f"measurement {m.name}", "is not finite")
         self._complete()
-        P, H = self._joined(), np.hstack([m.H, m.D, _NO_MATRICES])
+        P, H = self._joined(), self._sensitivity(m)
         PHt, S = np.empty((len(P), 3)), np.empty((3, 3))
         squared = innovation_kernel(P, H, m.R, z, PHt, S)
         if not squared >= 0.0:
@@ -274,11 +275,9 @@ class LooseFilter:
             innovation_kernel(P, H, m.R, z, PHt, S)
         if accepted or recovered:
             x = np.empty(len(P))
-            correct_kernel(P, H, m.R, z, PHt, S, _ESTIMATED, x)
+            correct_kernel(P, H, m.R, z, PHt, S, self._estimated, x)
             self._part(P)
-            self._reference_error += x[STATES:_ESTIMATED]
-            kernels.feed_back_kernel(self._x, self._bias, x)
-            kernels.begin_kernel(self._x, self._pending)
+            self._feed_back(x)
         return Innovation(m.name, z, sd, squared, accepted or recovered, recovered)
 
     def widen(
@@ -364,6 +363,16 @@ class LooseFilter:
         P[:STATES, :STATES], P[:STATES, STATES:] = self._P, self._U
         P[STATES:, :STATES], P[STATES:, STATES:] = self._U.T, self._B
         return P
+
+    def _sensitivity(self, m: Measurement) -> FloatArray:
+        """Return that of a measurement to all that `_joined` holds."""
+        return np.hstack([m.H, m.D, _NO_MATRICES])
+
+    def _feed_back(self, x: FloatArray) -> None:
+        """Take what was estimated off the state."""
+        self._reference_error += x[STATES : self._estimated]
+        kernels.feed_back_kernel(self._x, self._bias, x)
+        kernels.begin_kernel(self._x, self._pending)
 
     def _part(self, P: FloatArray) -> None:
         self._P, self._U = P[:STATES, :STATES].copy(), P[:STATES, STATES:].copy()
