@@ -4,7 +4,15 @@ from typing import Annotated
 
 import typer
 
-from deepseis_bringup import cli_accept, cli_bags, cli_runs, cli_sim, cli_station, cli_theory
+from deepseis_bringup import (
+    cli_accept,
+    cli_bags,
+    cli_convert,
+    cli_runs,
+    cli_sim,
+    cli_station,
+    cli_theory,
+)
 
 app = typer.Typer(
     help="A GNSS/INS seismograph station: ground motion through strong earthquakes.",
@@ -60,7 +68,15 @@ def run(
         raise typer.Exit(2) from None
 
 
-for commands in (cli_runs, cli_station, cli_bags, cli_sim, cli_theory, cli_accept):
+for commands in (
+    cli_runs,
+    cli_station,
+    cli_bags,
+    cli_convert,
+    cli_sim,
+    cli_theory,
+    cli_accept,
+):
     commands.register(app)
 
 

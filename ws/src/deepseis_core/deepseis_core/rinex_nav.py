@@ -1,5 +1,7 @@
 """RINEX navigation files of GPS: versions 2.x, 3.x and 4.00 read, 3.05 written.
 
+Version 4 is written by `rinex_nav4`.
+
 Records of other systems and of CNAV are passed over. Anything malformed is an `InputError` that
 names file and line.
 """
@@ -321,10 +323,11 @@ def format_rinex_nav(
         header.append((f"{leap_seconds:6d}", "LEAP SECONDS"))
     header.append(("", "END OF HEADER"))
     text = "".join(f"{content:60}{label:20}".rstrip() + "\n" for content, label in header)
-    return text + "".join(_format_record(item) for item in ephemerides)
+    return text + "".join(format_record(item) for item in ephemerides)
 
 
-def _format_record(item: Ephemeris) -> str:
+def format_record(item: Ephemeris) -> str:
+    """Return the eight lines of a GPS LNAV record, the same in versions 3 and 4."""
     week = item.week + round((item.toe - item.toc) / S_PER_WEEK)
     year, month, day, hour, minute, ns = GpsTime(week, round(item.toc * NS_PER_S)).to_calendar()
     date = f"{year:4d} {month:02d} {day:02d} {hour:02d} {minute:02d} {ns // NS_PER_S:02d}"
@@ -348,8 +351,11 @@ def write_rinex_nav(
     **header
         Keyword arguments of `format_rinex_nav`.
     """
-    text = format_rinex_nav(ephemerides, **header)
-    path = Path(path)
+    write_whole(Path(path), format_rinex_nav(ephemerides, **header))
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all."""
     part = path.with_name(path.name + ".part")
     try:
         part.write_text(text, encoding="ascii")

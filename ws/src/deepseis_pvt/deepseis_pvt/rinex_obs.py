@@ -1,4 +1,4 @@
-"""RINEX 3.05 observation files, written epoch by epoch.
+"""RINEX 3.05 and 4.02 observation files, written epoch by epoch.
 
 The file grows under a temporary name and takes its long name (which holds the period covered)
 when it is closed. After each second of data everything written is handed to the system, so a
@@ -23,6 +23,7 @@ from deepseis_core.rinex_nav import rinex3_name
 from deepseis_core.types import FloatArray, Observations
 
 OBSERVATION_TYPES = "C1C L1C D1C S1C"
+VERSIONS = ("3.05", "4.02")
 
 
 @dataclass(frozen=True)
@@ -100,9 +101,16 @@ def epoch_text(observations: Observations, time: GpsTime) -> str:
 
 
 def header_lines(
-    station: RinexStation, start: GpsTime, interval: float, created: dt.datetime
+    station: RinexStation,
+    start: GpsTime,
+    interval: float,
+    created: dt.datetime,
+    version: str = "3.05",
 ) -> list[str]:
-    """Return the header of a GPS-only observation file, one line each."""
+    """Return the header of a GPS-only observation file, one line each.
+
+    Version 4 no longer knows phase shifts; all else of a GPS file is the same.
+    """
     s = station
     year, month, day, hour, minute, ns = start.to_calendar()
     x, y, z = s.position_ecef or (0.0, 0.0, 0.0)
@@ -113,7 +121,7 @@ def header_lines(
     run = f"{'DeepSeis':<20.20}{s.run_by:<20.20}{created:%Y%m%d %H%M%S} UTC"
     receiver = f"{s.receiver_number:<20.20}{s.receiver:<20.20}{s.receiver_version:<20.20}"
     records = [
-        (f"{3.05:9.2f}{'':11}{'OBSERVATION DATA':<20}{'G: GPS':<20}", "RINEX VERSION / TYPE"),
+        (f"{version:>9}{'':11}{'OBSERVATION DATA':<20}{'G: GPS':<20}", "RINEX VERSION / TYPE"),
         (run, "PGM / RUN BY / DATE"),
         (f"{s.marker:<60.60}", "MARKER NAME"),
         (f"{'GEODETIC':<20}", "MARKER TYPE"),
@@ -127,7 +135,7 @@ def header_lines(
         (f"{interval:10.3f}", "INTERVAL"),
         (f"{first}     GPS", "TIME OF FIRST OBS"),
         (f"{0:6d}", "RCV CLOCK OFFS APPL"),
-        (f"G L1C {0:8.5f}", "SYS / PHASE SHIFT"),
+        *[(f"G L1C {0:8.5f}", "SYS / PHASE SHIFT")] * (version < "4"),
         (f"{start.leap_seconds():6d}", "LEAP SECONDS"),
         ("", "END OF HEADER"),
     ]
@@ -145,6 +153,8 @@ class RinexObsWriter:
         For the header and the file's name.
     created : datetime, optional
         UTC for the PGM / RUN BY / DATE line; default now.
+    version : {'3.05', '4.02'}, optional
+        Of RINEX.
     """
 
     def __init__(
@@ -152,7 +162,11 @@ class RinexObsWriter:
         folder: str | os.PathLike[str],
         station: RinexStation | None = None,
         created: dt.datetime | None = None,
+        version: str = VERSIONS[0],
     ) -> None:
+        if version not in VERSIONS:
+            raise InputError(f"RINEX version {version}", "is not written", " or ".join(VERSIONS))
+        self.version = version
         self.folder = Path(folder)
         if not self.folder.is_dir():
             raise InputError(self.folder, "is not a folder", "make it, or name another one")
@@ -212,7 +226,7 @@ class RinexObsWriter:
         if station.position_ecef is None and position is not None and np.isfinite(position).all():
             x, y, z = map(float, position)
             station = replace(station, position_ecef=(x, y, z))
-        header = header_lines(station, self._start, self._interval, self.created)
+        header = header_lines(station, self._start, self._interval, self.created, self.version)
         self._file = self.path.open("w", encoding="ascii", newline="\n")
         self._file.write("\n".join(header) + "\n" + self._waiting)
         self._file.flush()

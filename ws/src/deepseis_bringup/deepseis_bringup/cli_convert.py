@@ -1,0 +1,56 @@
+"""Command: convert."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deepseis_bringup.cli_common import Bag, add_command, bag_of, into_run_folder, say
+
+Folder = Annotated[
+    Path | None, typer.Option("-o", "--output", help="Folder, made new; default runs/<UTC>.")
+]
+
+
+def convert(
+    bag: Bag,
+    to: Annotated[str, typer.Option("--to", help="miniseed, rinex or csv.")],
+    output: Folder = None,
+    network: Annotated[
+        str, typer.Option(help="FDSN network code; default: the bag's, or XX.")
+    ] = "",
+    station: Annotated[str, typer.Option(help="Station code; default: the bag's, or DSEI.")] = "",
+    rinex_version: Annotated[str, typer.Option(help="3.05 or 4.02.")] = "3.05",
+    rinex_name: Annotated[
+        str, typer.Option(help="Nine characters that RINEX names begin with, as DSEI00JPN.")
+    ] = "",
+    alias: Annotated[
+        bool, typer.Option("--alias", help="Derived channels under source Y too (LY? for LX?).")
+    ] = False,
+) -> None:
+    r"""Write a recorded bag in other formats: miniSEED, RINEX, CSV.
+
+    miniseed: an SDS archive of ground motion, IMU and rotation rate, its StationXML, and QuakeML
+    of the events. rinex: hourly files of observations and navigation data. csv: a table for each
+    kind of value. docs/formats-out.md tells channels, units and times.
+
+    \b
+    Example:
+      ./deepseis convert runs/20260101T000000Z --to miniseed -o archive
+    """
+
+    def work(folder: Path) -> None:
+        from deepseis_bringup import convert as conversion
+
+        options = conversion.ConvertOptions(network, station, rinex_version, rinex_name, alias)
+        written = conversion.convert(bag_of(bag), to, folder, options, say)
+        typer.echo(f"files = {len(written)}")
+
+    into_run_folder(output, work)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the application."""
+    add_command(app, convert)
