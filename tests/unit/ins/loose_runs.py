@@ -30,7 +30,8 @@ ALIGNING = 10.0  # [s] that estimate the turn-on bias of MEMS before the filter 
 class Run:
     """A filter, what it was told, and how it erred.
 
-    ``errors`` and ``covariances`` are of every second, ``innovations`` of all measurements.
+    ``errors`` and ``covariances`` are of every second, ``innovations`` of all measurements;
+    ``steps`` are what a smoother wants, with the true error after each in ``step_errors``.
     """
 
     filter: LooseFilter
@@ -38,6 +39,8 @@ class Run:
     errors: list = field(default_factory=list)
     covariances: list = field(default_factory=list)
     innovations: list = field(default_factory=list)
+    steps: list = field(default_factory=list)
+    step_errors: list = field(default_factory=list)
 
     def squares(self, name):
         return [i.normalised_squared for i in self.innovations if i.name == name]
@@ -79,7 +82,7 @@ class Unit:
         )
 
 
-def started(unit, rng):
+def started(unit, rng, *, smoothing=False):
     """Return a filter in error as it is told, and when it starts; MEMS aligns first."""
     phi, r = ATTITUDE_SD * rng.standard_normal(3), POSITION_SD * rng.standard_normal(3)
     place = geodesy.geodetic_from_ecef(SITE.origin_ecef + C_NE.T @ r)
@@ -98,6 +101,7 @@ def started(unit, rng):
         attitude_sd=[ATTITUDE_SD] * 3,
         position_sd=POSITION_SD,
         velocity_sd=[1e-6] * 3,
+        smoothing=smoothing,
         **biases,
     )
     return loose, start
@@ -133,10 +137,10 @@ def ideal_increments(motion, seconds):
     return ImuSynthesizer(motion, SITE, float(RATE)).increments(0, RATE * seconds)
 
 
-def fly(unit, seconds, measurements, *, seed, rate_hz=1, every=1):
+def fly(unit, seconds, measurements, *, seed, rate_hz=1, every=1, smoothing=False):
     """Run a filter; ``measurements(loose, time, C_reference, rng)`` says what it is told when."""
     rng = np.random.default_rng([seed, 7])
-    loose, start = started(unit, rng)
+    loose, start = started(unit, rng, smoothing=smoothing)
     run, C_ref = Run(loose), rotation.matrix_from_quat(loose.nav.quat_nb)
     step = RATE // rate_hz
     for first in range(round(start * RATE), seconds * RATE, step):
@@ -144,6 +148,9 @@ def fly(unit, seconds, measurements, *, seed, rate_hz=1, every=1):
         time = (first + step) / RATE
         for measurement in measurements(loose, time, C_ref, rng):
             run.innovations.append(loose.update(measurement()))
+        if smoothing:
+            run.steps += loose.take_steps()
+            run.step_errors.append(unit.error(loose, time))
         if (first + step) % (every * RATE) == 0:
             run.times.append(time)
             run.errors.append(unit.error(loose, time))

@@ -132,8 +132,9 @@ def carried(nav, theta, vel, dt, U, B, *, step, grade):
     loose_kernels.begin_kernel(x, pending)
     count = len(theta)
     loose_kernels.propagate_kernel(
-        x, np.zeros(6), pending, P, U, B, es.noise_model(grade, force_ref), step, theta, vel,
-        np.full(count, dt), np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 4)),
+        x, np.zeros(6), pending, P, U, B, es.noise_model(grade, force_ref),
+        np.zeros((0, 36)), step, theta, vel, np.full(count, dt),
+        np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 4)),
     )  # fmt: skip
     return U, P
 

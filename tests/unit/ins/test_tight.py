@@ -74,7 +74,7 @@ def test_rows_are_the_derivatives_of_the_prediction(truth, state):
     assert_allclose(H[:, state], slope, rtol=1e-5, atol=1e-6 if state > 2 else 2e-6)
 
 
-def started(unit, seed, *, tight=AIRLESS, motion=None):
+def started(unit, seed, *, tight=AIRLESS, motion=None, **given):
     """Return a filter in error as it is told, as `loose_runs.started` has it."""
     rng = np.random.default_rng([seed, 5])
     phi = runs.ATTITUDE_SD * rng.standard_normal(3)
@@ -84,7 +84,7 @@ def started(unit, seed, *, tight=AIRLESS, motion=None):
     return TightFilter(
         LooseConfig(), unit.grade, NavState(*place, np.zeros(3), quat), tight=tight,
         lever_arm_b=runs.LEVER, attitude_sd=[runs.ATTITUDE_SD] * 3,
-        position_sd=runs.POSITION_SD, velocity_sd=[1e-6] * 3,
+        position_sd=runs.POSITION_SD, velocity_sd=[1e-6] * 3, **given,
     )  # fmt: skip
 
 

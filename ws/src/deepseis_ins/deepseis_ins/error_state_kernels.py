@@ -230,7 +230,17 @@ def _consider(P, U1, B, G, U):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def covariance_kernel(P, U, B, model, x, v0, q0, angle_b, gain_b, t):  # type: ignore[no-untyped-def]
+def _carry_transition(Phi, decay, G, T):  # type: ignore[no-untyped-def]
+    """Put a step behind those that led to T, shape (15, 36): ``T = [Phi 0] T + [0 G]``."""
+    before = T.copy()
+    _apply(Phi, decay, before, T)
+    for i in range(MOVING):
+        for k in range(CONSTANTS):
+            T[i, STATES + k] += G[i, k]
+
+
+@njit(cache=True, nogil=True)
+def covariance_kernel(P, U, B, model, x, v0, q0, angle_b, gain_b, t, T):  # type: ignore[no-untyped-def]
     """Carry P, shape (15, 15), and U, shape (15, 21), over a step that led to the state ``x``.
 
     Columns of U and B beyond the 21 are of what else there is beside inertial navigation, as the
@@ -245,6 +255,8 @@ def covariance_kernel(P, U, B, model, x, v0, q0, angle_b, gain_b, t):  # type: i
         Sums of the increments, without biases [rad, m/s].
     t
         Length [s].
+    T
+        Transition of states and constants so far, shape (15, 36), carried on; or no rows.
     """
     C0, C = np.empty((3, 3)), np.empty((3, 3))
     matrix_kernel(q0, C0)
@@ -269,6 +281,8 @@ def covariance_kernel(P, U, B, model, x, v0, q0, angle_b, gain_b, t):  # type: i
         decay[k] = math.exp(-t * model[BIAS_RATE + k])
     G = np.zeros((MOVING, CONSTANTS))
     _drive(C, force_b - model[FORCE_REF : FORCE_REF + 3], omega_b, force_n, t, G)
+    if T.shape[0] > 0:
+        _carry_transition(Phi, decay, G, T)
 
     A, U1 = np.empty((STATES, STATES)), np.empty(U.shape)
     _add_noise(P, model, t)

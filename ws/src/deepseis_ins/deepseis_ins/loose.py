@@ -39,11 +39,14 @@ from deepseis_ins.error_state import (
 )
 from deepseis_ins.measurements import Measurement
 from deepseis_ins.nav_array import covariance, increments, pack, unpack, vector
+from deepseis_ins.smoother import FilterStep
+from deepseis_ins.smoother_tape import StepTape, TapeState
 from deepseis_ins.strapdown import NavState, Trajectory
 from deepseis_ins.strapdown_kernels import ATTITUDE, DELTA_THETA, DELTA_VEL, INTERVAL
 
 _NOTHING = (0.0, 0.0, 0.0)
 _NO_MATRICES = np.zeros((3, CONSTANTS - 3))
+_UNTOLD = np.zeros((0, STATES + CONSTANTS))
 
 
 @dataclass(frozen=True)
@@ -98,6 +101,8 @@ class Snapshot:
     B: FloatArray
     reference_error: FloatArray
     rejected: Mapping[str, int]
+    transition: FloatArray
+    tape: TapeState | None
 
 
 class LooseFilter:
@@ -118,6 +123,8 @@ class LooseFilter:
     gyro_bias_sd, accel_bias_sd : array_like, shape (3,), optional
         What is unknown of them; without, all that the grade says. The latter is of bias and
         what gravity makes of scale factors and misalignments together.
+    smoothing : bool
+        Write down what a smoother needs; `take_steps` returns it.
 
     Notes
     -----
@@ -138,6 +145,7 @@ class LooseFilter:
     [0.017, 0.017, 0.014]
     """
 
+    _joint = STATES + CONSTANTS
     _estimated = STATES + 3
     """The states and the error of the reference attitude; behind them come what is considered."""
 
@@ -154,6 +162,7 @@ class LooseFilter:
         accel_bias: ArrayLike = _NOTHING,
         gyro_bias_sd: ArrayLike | None = None,
         accel_bias_sd: ArrayLike | None = None,
+        smoothing: bool = False,
     ) -> None:
         try:
             check(config)
@@ -184,6 +193,8 @@ class LooseFilter:
         )
         self._rejected: dict[str, int] = {}
         self._reference_error = np.zeros(3)
+        self._tape = StepTape(self._joint) if smoothing else None
+        self._transition = np.eye(STATES, STATES + CONSTANTS) if smoothing else _UNTOLD
         self.refer_attitude()
 
     # What is known
@@ -214,7 +225,7 @@ class LooseFilter:
         """Covariance of the errors now, shape (15, 15); see `deepseis_ins.error_state`."""
         P, U = self._P.copy(), self._U.copy()
         kernels.complete_kernel(
-            self._x, self._bias.copy(), self._pending.copy(), P, U, self._B, self._model
+            self._x, self._bias.copy(), self._pending.copy(), P, U, self._B, self._model, _UNTOLD
         )
         return P
 
@@ -235,10 +246,11 @@ class LooseFilter:
         """
         delta_theta, delta_vel, dts = increments(delta_theta_b, delta_vel_b, dt)
         count = dts.size
+        self._has_moved()
         out = Trajectory(np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 4)))
         kernels.propagate_kernel(
             self._x, self._bias, self._pending, self._P, self._U, self._B, self._model,
-            self.config.covariance_step, delta_theta, delta_vel, dts,
+            self._transition, self.config.covariance_step, delta_theta, delta_vel, dts,
             out.geodetic, out.vel_n, out.quat_nb,
         )  # fmt: skip
         return out
@@ -273,11 +285,14 @@ class LooseFilter:
             diagonal = np.arange(STATES)[m.states]
             P[diagonal, diagonal] += z**2
             innovation_kernel(P, H, m.R, z, PHt, S)
+            self._has_moved()
         if accepted or recovered:
-            x = np.empty(len(P))
+            x, before = np.empty(len(P)), P.copy()
             correct_kernel(P, H, m.R, z, PHt, S, self._estimated, x)
             self._part(P)
             self._feed_back(x)
+            if self._tape is not None:
+                self._tape.measure(before, x, P)
         return Innovation(m.name, z, sd, squared, accepted or recovered, recovered)
 
     def widen(
@@ -295,6 +310,7 @@ class LooseFilter:
             ("attitude", ATT, attitude_sd),
         ):
             self._P[part, part] += covariance(name, sd)
+        self._has_moved()
 
     def replace_nav(self, nav: NavState) -> None:
         """Put another state in the place of the present one, the covariance as it is.
@@ -305,6 +321,7 @@ class LooseFilter:
         self._complete()
         self._x = pack(nav)
         kernels.begin_kernel(self._x, self._pending)
+        self._has_moved()
 
     def refer_attitude(
         self, C_nb_reference: ArrayLike | None = None, sd: ArrayLike = 0.0
@@ -332,7 +349,29 @@ class LooseFilter:
         else:
             reference = np.array(C_nb_reference, np.float64)
             self._B[REFERENCE, REFERENCE] = covariance("reference attitude", sd)
+        if self._tape is not None:
+            own = self._tape.transition[ATT] if C_nb_reference is None else 0.0
+            self._tape.transition[self._estimated - 3 : self._estimated] = own
+            self._has_moved()
         return reference
+
+    # Smoothing
+
+    def take_steps(self) -> list[FilterStep]:
+        """Return what a smoother needs of the time since the last call; the last step is now.
+
+        The errors are those of the 15 states, of the reference attitude and of the parameters
+        considered, 36 in all; `deepseis_ins.smoother_loose` makes states of what comes out.
+
+        Raises
+        ------
+        InputError
+            The filter was not told to write it down.
+        """
+        if self._tape is None:
+            raise InputError("loose filter", "has kept no steps", "smoothing=True")
+        self._complete()
+        return self._tape.take(self._joined())
 
     # Undo
 
@@ -342,6 +381,7 @@ class LooseFilter:
             self._x.copy(), self._bias.copy(), self._pending.copy(), self._P.copy(),
             self._U.copy(), self._B.copy(), self._reference_error.copy(),
             MappingProxyType(dict(self._rejected)),
+            self._transition.copy(), self._tape.state() if self._tape is not None else None,
         )  # fmt: skip
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -350,12 +390,29 @@ class LooseFilter:
         self._x, self._bias, self._pending = s.x.copy(), s.bias.copy(), s.pending.copy()
         self._P, self._U, self._B = s.P.copy(), s.U.copy(), s.B.copy()
         self._reference_error, self._rejected = s.reference_error.copy(), dict(s.rejected)
+        if self._tape is not None and s.tape is not None:
+            self._transition = s.transition.copy()
+            self._tape.restore(s.tape)
 
     def _complete(self) -> None:
         """Carry the covariance to now."""
         kernels.complete_kernel(
-            self._x, self._bias, self._pending, self._P, self._U, self._B, self._model
-        )
+            self._x, self._bias, self._pending, self._P, self._U, self._B, self._model,
+            self._transition,
+        )  # fmt: skip
+        if self._tape is not None and self._tape.moved:
+            self._tape.carry(self._joint_transition())
+            self._transition[:] = np.eye(STATES, STATES + CONSTANTS)
+
+    def _joint_transition(self) -> FloatArray:
+        """Return that of all that `_joined` holds, since the covariance was last complete."""
+        T = np.eye(self._joint)
+        T[:STATES] = self._transition
+        return T
+
+    def _has_moved(self) -> None:
+        if self._tape is not None:
+            self._tape.move()
 
     def _joined(self) -> FloatArray:
         """Return the covariance of states and constants together, shape (36, 36)."""

@@ -43,7 +43,7 @@ def begin_kernel(x: FloatArray, pending: FloatArray) -> None:
 
 
 @njit(cache=True, nogil=True)
-def complete_kernel(x, bias, pending, P, U, B, model):  # type: ignore[no-untyped-def]
+def complete_kernel(x, bias, pending, P, U, B, model, T):  # type: ignore[no-untyped-def]
     """Carry the covariance to the state's time and begin a new step there.
 
     The biases' estimates fade as their processes do.
@@ -62,13 +62,14 @@ def complete_kernel(x, bias, pending, P, U, B, model):  # type: ignore[no-untype
             pending[ANGLE : ANGLE + 3],
             pending[GAIN : GAIN + 3],
             pending[TIME],
+            T,
         )
     begin_kernel(x, pending)
 
 
 @njit(cache=True, nogil=True)
 def propagate_kernel(  # type: ignore[no-untyped-def]
-    x, bias, pending, P, U, B, model, step, delta_theta, delta_vel, dt, geodetic, vel_n, quat_nb
+    x, bias, pending, P, U, B, model, T, step, delta_theta, delta_vel, dt, geodetic, vel_n, quat_nb
 ):
     """Carry everything over m intervals and fill what the state is at the end of each.
 
@@ -78,6 +79,8 @@ def propagate_kernel(  # type: ignore[no-untyped-def]
         State of the mechanisation, shape (17,).
     bias
         Of gyroscopes and accelerometers, shape (6,) [rad/s, m/s^2].
+    T
+        Of `covariance_kernel`.
     step
         Of the covariance [s].
     delta_theta, delta_vel, dt
@@ -105,7 +108,7 @@ def propagate_kernel(  # type: ignore[no-untyped-def]
             quat_nb[i, k] = x[ATTITUDE + k]
         pending[TIME] += t
         if pending[TIME] > step - 0.5 * t:
-            complete_kernel(x, bias, pending, P, U, B, model)
+            complete_kernel(x, bias, pending, P, U, B, model, T)
 
 
 @njit(cache=True, nogil=True)

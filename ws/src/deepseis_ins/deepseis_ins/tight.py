@@ -153,6 +153,7 @@ class TightFilter(LooseFilter):
         From the IMU to the antenna, forward-right-down [m].
     """
 
+    _joint = kernels.JOINED
     _estimated = kernels.ESTIMATED
 
     def __init__(
@@ -242,6 +243,7 @@ class TightFilter(LooseFilter):
             self._missed = self._missed + 1 if 2 * refused.sum() > offered.sum() else 0
         if self._missed >= self.tight.epochs_before_recovery:
             self._missed = 0
+            self._has_moved()
             wrong = float(np.mean(z[:n][refused] ** 2))
             for k in (*range(POS.start, POS.stop), kernels.BIAS):
                 before[k, k] += wrong
@@ -250,6 +252,8 @@ class TightFilter(LooseFilter):
         if innovations.accepted.any():
             self._part(J)
             self._feed_back(x)
+            if self._tape is not None:
+                self._tape.measure(before, x, J)
         return innovations
 
     def _tried(
@@ -328,6 +332,15 @@ class TightFilter(LooseFilter):
         J = np.empty((kernels.JOINED, kernels.JOINED))
         kernels.join_kernel(self._P, self._U, self._B, J)
         return J
+
+    def _joint_transition(self) -> FloatArray:
+        T, inertial = np.eye(kernels.JOINED), np.arange(kernels.JOINED - 2)
+        inertial[STATES:] += 2
+        T[:STATES] = 0.0
+        T[:STATES, inertial] = self._transition
+        if self._started:
+            T[STATES, STATES + 1] = self._clock_age
+        return T
 
     def _part(self, P: FloatArray) -> None:
         kernels.part_kernel(P, self._P, self._U, self._B)
