@@ -26,6 +26,7 @@ TYPES: Mapping[str, tuple[str, str]] = {
     "gnss/ephemeris": ("deepseis_msgs/msg/Ephemeris", "latched"),
     "gnss/observations": ("deepseis_msgs/msg/Observations", "stream"),
     "gnss/pvt": ("deepseis_msgs/msg/Pvt", "stream"),
+    "gnss/precise": ("deepseis_msgs/msg/PrecisePosition", "stream"),
     "gnss/fix": ("sensor_msgs/msg/NavSatFix", "stream"),
     "aiding/doppler": ("deepseis_msgs/msg/DopplerAiding", "stream"),
     "motion/state": ("deepseis_msgs/msg/MotionState", "latched"),
@@ -128,6 +129,20 @@ def _trackers(config: GraphConfig) -> list[NodeSpec]:
     ]
 
 
+def _motion_topics(config: GraphConfig) -> tuple[str, ...]:
+    return ("motion/state",) if config.aiding == "fusion" else ()
+
+
+def precise_parameters(config: GraphConfig) -> dict[str, Any]:
+    """Return what pvt's precise positions have to know of the rest of the graph."""
+    name, default = ("aided", 8.0) if config.aiding else ("pll", 15.0)
+    tracker = config.parameters.get("tracker", {})
+    return {
+        "loop_bandwidth_hz": float(tracker.get(f"{name}_bandwidth_hz", default)),
+        "wait_motion": config.aiding == "fusion",
+    }
+
+
 def topic_type(topic: str) -> tuple[str, str]:
     """Type and quality of service of a topic."""
     if topic.startswith("tracking/"):
@@ -168,14 +183,15 @@ def build_graph(config: GraphConfig) -> list[NodeSpec]:
             "deepseis_pvt",
             "pvt",
             "pvt",
-            ("gnss/observations", "gnss/pvt", "gnss/fix", "/diagnostics"),
-            (*_epoch_topics(config.satellites), "gnss/ephemeris"),
+            ("gnss/observations", "gnss/pvt", "gnss/fix", "gnss/precise", "/diagnostics"),
+            (*_epoch_topics(config.satellites), "gnss/ephemeris", *_motion_topics(config)),
             "pvt",
             {
                 "satellites": satellites,
                 "trackers": tracker_names,
                 "sample_rate_hz": config.sample_rate_hz,
                 "output_dir": config.output_dir,
+                **precise_parameters(config),
             },
         ),
     ]

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
-from deepseis_bringup.graph import GraphConfig
+from deepseis_bringup.graph import GraphConfig, precise_parameters
 from deepseis_bringup.offline_inertial import InertialChain
 from deepseis_core.config import check
 from deepseis_core.gps_time import GpsTime
@@ -20,8 +20,11 @@ from deepseis_core.types import Aiding, IfBlock, Observations, Pvt
 from deepseis_frontend.if_open import open_source
 from deepseis_pvt.assisted_start import assistance_of
 from deepseis_pvt.observables import ObservablesConfig
+from deepseis_pvt.phase_displacement import PhaseConfig
+from deepseis_pvt.precise import PhasePositions, PreciseConfig, phase_positions
 from deepseis_pvt.pvt_engine import PvtConfig, PvtEngine
 from deepseis_pvt.spp import SppConfig
+from deepseis_pvt.still_reference import ReferenceConfig
 from deepseis_tracking.acquisition import AcquisitionConfig
 from deepseis_tracking.acquisition_engine import AcquisitionEngine, RetryConfig
 from deepseis_tracking.acquisition_windows import Forecast, WarmStart
@@ -102,11 +105,19 @@ class OfflineChain:
             _pick(SlotConfig, tracker),
             wait_aiding=aiding is not None or config.aiding == "fusion",
         )
-        known = config.parameters.get("pvt", {})
+        known = {**precise_parameters(config), **config.parameters.get("pvt", {})}
         self.pvt = _pvt_engine(config, known)
         troposphere = bool(known.get("troposphere", True))
         self.pvt.assist(
             assistance_of(known.get("position_ecef", ()), self.clock, troposphere=troposphere)
+        )
+        self.precise = phase_positions(
+            known.get("position_ecef", ()),
+            self.pvt.book,
+            _pick(PreciseConfig, known),
+            _pick(PhaseConfig, known),
+            _pick(ReferenceConfig, known),
+            _pick(SppConfig, known),
         )
         self.inertial: InertialChain | None = None
         if config.aiding == "fusion":
@@ -140,6 +151,11 @@ class OfflineChain:
             yield Output(topic, value, utc_ns)
             if topic == "aiding/doppler":
                 self.tracking.push_aiding(value)
+            if topic == "motion/state" and self.precise is not None:
+                self.precise.push_motion(value)
+        if self.precise is not None:
+            self.precise.motion_valid(self.inertial.motion.valid_through)
+            self.pvt.allowed_through = self.precise.allowed_through
 
     def _search(self) -> Iterator[Output]:
         engine = self.acquisition
@@ -173,19 +189,23 @@ class OfflineChain:
 
     def _positions(self, force_through: int | None = None) -> Iterator[Output]:
         for observations, pvt in self.pvt.advance(force_through):
-            yield from _solved(observations, pvt)
+            yield from _solved(observations, pvt, self.precise)
             if self.inertial is not None and pvt is not None:
                 self.inertial.push_pvt(pvt)
         if self.inertial is not None:
             self.inertial.pvt_valid(self.pvt.valid_through)
 
 
-def _solved(observations: Observations, pvt: Pvt | None) -> Iterator[Output]:
+def _solved(
+    observations: Observations, pvt: Pvt | None, precise: PhasePositions | None
+) -> Iterator[Output]:
     utc_ns = GpsTime(observations.week, observations.tow_ns).to_utc_ns()
     yield Output("gnss/observations", observations, utc_ns)
     if pvt is not None:
         yield Output("gnss/pvt", pvt, utc_ns)
         yield Output("gnss/fix", pvt, utc_ns)
+    if precise is not None:
+        yield Output("gnss/precise", precise.solve(observations), utc_ns)
 
 
 def _pvt_engine(config: GraphConfig, given: Any) -> PvtEngine:
@@ -236,6 +256,7 @@ def encode(output: Output) -> bytes:
         "gnss/ephemeris": codecs.EPHEMERIS,
         "gnss/observations": codecs.OBSERVATIONS,
         "gnss/pvt": codecs.PVT,
+        "gnss/precise": codecs.PRECISE_POSITION,
         "aiding/doppler": codecs.DOPPLER_AIDING,
         "motion/state": codecs.MOTION_STATE,
     }

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -43,6 +44,9 @@ COUNTED = (
     *("attempts", "epochs", "empty_epochs", "forced", "predicted_transmit_times"),
     *("positions", "no_position", "rejected", "inconsistent", "clock_jumps"),
 )
+
+EVER: Final = int(np.iinfo(np.int64).max)
+"""A sample that never comes."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,8 @@ class PvtEngine:
         Receiver time of samples; None before the first fix.
     worked_through : int
         Last sample that epochs, or attempts at the first fix, have been worked through to.
+    allowed_through : int
+        Last sample that may be worked through, as far as others than the trackers have a say.
     """
 
     def __init__(
@@ -110,7 +116,7 @@ class PvtEngine:
             self.builder, self.book, self.solver, config.max_first_gdop, assistance
         )
         self.clock: GridClock | None = None
-        self.worked_through = -1
+        self.worked_through, self.allowed_through = -1, EVER
         self._attempt = 0
         self._next_ns = 0
         self._state: FloatArray | None = None
@@ -182,7 +188,7 @@ class PvtEngine:
             yield epoch
 
     def _may_work(self, sample_index: int, force_through: int | None) -> bool:
-        known = sample_index <= self.store.ephemerides_through()
+        known = sample_index <= min(self.store.ephemerides_through(), self.allowed_through)
         if known and self.builder.reached(sample_index):
             return True
         if force_through is not None and sample_index <= force_through:

@@ -125,6 +125,7 @@ class Flow:
         *,
         event_count: int | None = None,
         ephemeris_count: int = 0,
+        precise_count: int = 0,
         end_of_stream: bool = False,
         utc_ns: int = 0,
     ) -> None:
@@ -135,6 +136,7 @@ class Flow:
         msg.header.stamp = stamp_from_ns(utc_ns)
         msg.valid_through, msg.consumed_through = valid_through, consumed_through
         msg.event_count, msg.ephemeris_count = count, ephemeris_count
+        msg.precise_count = precise_count
         msg.shared_count = self.shared_count
         self._pending = msg
         held_ns = utc_ns - self._announced_ns

@@ -16,22 +16,27 @@ from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_core.ros import codecs, diagnostics, qos
 from deepseis_core.ros.cdr import encode_message
 from deepseis_core.ros.codecs import subscribe
+from deepseis_core.ros.counted import CountedInput
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.navsat import fix_from_pvt
 from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.sample_clock import SampleClock
-from deepseis_core.types import Ephemeris, TrackingEpochs
+from deepseis_core.types import Ephemeris, MotionState, TrackingEpochs
 from deepseis_core.types import Observations as ObservationsValue
 from deepseis_core.types import Pvt as PvtValue
-from deepseis_msgs.msg import Observations, Pvt, Watermark
+from deepseis_msgs.msg import Observations, PrecisePosition, Pvt, Watermark
 from deepseis_pvt.assisted_start import assistance_of
 from deepseis_pvt.observables import ObservablesConfig
+from deepseis_pvt.phase_displacement import PhaseConfig
+from deepseis_pvt.precise import PreciseConfig, phase_positions
 from deepseis_pvt.products import RinexProducts
 from deepseis_pvt.pvt_engine import PvtConfig, PvtEngine
 from deepseis_pvt.rinex_obs import RinexStation
 from deepseis_pvt.spp import SppConfig
+from deepseis_pvt.still_reference import ReferenceConfig
 
+MOTION = "motion_state"
 IN_FLIGHT_S = 0.04
 """Realtime: what the newest satellite is ahead of others that are not late [s]."""
 
@@ -53,7 +58,10 @@ class NodeConfig:
 
 
 class PvtNode(Node):
-    """In: tracking/<sat>/epochs, gnss/ephemeris. Out: gnss/observations, gnss/pvt, gnss/fix."""
+    """In: tracking/<sat>/epochs, gnss/ephemeris, motion/state.
+
+    Out: gnss/observations, gnss/pvt, gnss/fix, gnss/precise.
+    """
 
     def __init__(self, process: Process) -> None:
         super().__init__("pvt")
@@ -61,6 +69,8 @@ class PvtNode(Node):
         self.flow = Flow(self, process, "pvt", declare(self, FlowConfig))
         self.config, engine_config = declare(self, NodeConfig), declare(self, PvtConfig)
         observables, spp = declare(self, ObservablesConfig), declare(self, SppConfig)
+        precise, phase = declare(self, PreciseConfig), declare(self, PhaseConfig)
+        reference = declare(self, ReferenceConfig)
         reject_unknown(self)
         config, self.troposphere = self.config, spp.troposphere
         try:
@@ -77,20 +87,28 @@ class PvtNode(Node):
         if config.output_dir:
             station = RinexStation(name=config.station_name)
             self.products = RinexProducts(config.output_dir, station)
+        self.precise = phase_positions(
+            config.position_ecef, self.engine.book, precise, phase, reference, spp
+        )
+        self.motion = CountedInput()
+        self.members = [*config.trackers, *([MOTION] * precise.wait_motion)]
         self.load_navigation()
         self.clock: SampleClock | None = None
-        self.positions = self.ephemerides = 0
+        self.positions = self.ephemerides = self.precise_positions = 0
         self.second, self.progressed, self.looked = -1, time.monotonic(), 0.0
         publish_on = self.flow.publish_on
         self.observations = publish_on("gnss/observations", Observations, qos.STREAM)
         self.pvt = publish_on("gnss/pvt", Pvt, qos.STREAM)
         self.fix = publish_on("gnss/fix", NavSatFix, qos.STREAM)
+        self.displacement = publish_on("gnss/precise", PrecisePosition, qos.STREAM)
         self.diagnostics = publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
         for satellite in config.satellites:
             topic = f"tracking/{satellite}/epochs"
             subscribe(self, codecs.TRACKING_EPOCHS, topic, self.on_epochs, qos.STREAM)
         subscribe(self, codecs.EPHEMERIS, "gnss/ephemeris", self.on_ephemeris, qos.LATCHED)
-        self.flow.follow(config.trackers, self.on_tracker)
+        if precise.wait_motion:
+            subscribe(self, codecs.MOTION_STATE, "motion/state", self.on_motion, qos.LATCHED)
+        self.flow.follow(self.members, self.on_watermark)
         if not self.flow.lockstep:
             self.create_timer(0.02, self.on_deadline)
 
@@ -122,13 +140,31 @@ class PvtNode(Node):
             self.products.add(ephemeris)
         self.work()
 
-    def on_tracker(self, _msg: Watermark) -> None:
-        """Look whether the stream has ended."""
-        others, trackers = self.flow.others, self.config.trackers
-        ended = all(n in others and others[n].end_of_stream for n in trackers)
-        if ended and trackers and not self.flow.ended:
-            self.work(self.engine.newest_sample())
-            self.flow.finish()
+    def on_motion(self, state: MotionState, _utc_ns: int) -> None:
+        """Take a decision on motion."""
+        if self.precise is not None:
+            self.precise.push_motion(state)
+        self.motion.received()
+        self.work()
+        self.finish_if_ended()
+
+    def on_watermark(self, msg: Watermark) -> None:
+        """Take how far motion is decided, and look whether the stream has ended."""
+        if msg.node == MOTION:
+            self.motion.announced(msg.event_count, msg.valid_through)
+            self.work()
+        self.finish_if_ended()
+
+    def finish_if_ended(self) -> None:
+        """Work through what is left once all inputs have ended and arrived."""
+        others = self.flow.others
+        ended = all(n in others and others[n].end_of_stream for n in self.members)
+        if not (ended and self.members) or self.flow.ended:
+            return
+        if MOTION in others and self.motion.valid_through < others[MOTION].valid_through:
+            return
+        self.work(self.engine.newest_sample())
+        self.flow.finish()
 
     def on_deadline(self) -> None:
         """Realtime: wait no longer than the deadline for a tracker."""
@@ -143,6 +179,9 @@ class PvtNode(Node):
     def work(self, force_through: int | None = None) -> None:
         """Work through all epochs that the watermarks allow and publish, the watermark last."""
         before = self.engine.worked_through
+        if self.precise is not None:
+            self.precise.motion_valid(self.motion.valid_through)
+            self.engine.allowed_through = self.precise.allowed_through
         for epoch in self.engine.steps(force_through):
             if epoch is not None:
                 self.publish(*epoch)
@@ -156,6 +195,7 @@ class PvtNode(Node):
             worked,
             event_count=self.positions,
             ephemeris_count=self.ephemerides,
+            precise_count=self.precise_positions,
             utc_ns=self.clock.utc_ns(worked),
         )
 
@@ -167,6 +207,10 @@ class PvtNode(Node):
             self.positions += 1
             self.pvt.publish(codecs.PVT.encode(pvt, utc_ns))
             self.fix.publish(encode_message(fix_from_pvt(pvt, utc_ns)))
+        if self.precise is not None:
+            self.precise_positions += 1
+            value = self.precise.solve(observations)
+            self.displacement.publish(codecs.PRECISE_POSITION.encode(value, utc_ns))
         if self.products is not None:
             self.products.write(observations, pvt)
 
@@ -180,6 +224,7 @@ class PvtNode(Node):
     def report(self, utc_ns: int) -> None:
         """Publish the counters."""
         counts = self.engine.statistics
+        counts |= self.precise.statistics if self.precise is not None else {}
         text = f"{counts['positions']} positions" if self.engine.clock else "no fix yet"
         level = diagnostics.OK if self.engine.clock and not counts["forced"] else diagnostics.WARN
         self.diagnostics.publish(diagnostics.encoded("pvt", level, text, counts, utc_ns))

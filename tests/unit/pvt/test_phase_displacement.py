@@ -1,0 +1,246 @@
+"""Displacement from phases against truth and theory, with satellites that slip and vanish."""
+
+import time
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from unit.pvt.phase_bench import Phases, design, noise_sd
+
+from deepseis_pvt.phase_displacement import PhaseConfig, PhaseDisplacement
+from deepseis_pvt.still_reference import ReferenceConfig, StillReference
+
+WHITE = {"loop_bandwidth_hz": 5.0, "phase_floor_sd": 0.0}
+"""At 10 Hz noise of such a loop is white."""
+FREE = {"bias_walk": 0.0, "bias_rate_sd": 0.0, "bias_rate_walk": 0.0}
+FIRM = PhaseConfig(**WHITE, **FREE)
+
+
+def filter_of(config, *, witnessed=True, **reference):
+    return PhaseDisplacement(
+        config, StillReference(ReferenceConfig(**reference), witnessed=witnessed)
+    )
+
+
+def circle(start):
+    """12 cm at 2 Hz (2 g), and 5 cm up and down at 1 Hz, from ``start`` on."""
+
+    def motion(t):
+        if t < start:
+            return np.zeros(3)
+        turn = 4.0 * np.pi * (t - start)
+        return np.array(
+            [0.12 * (1.0 - np.cos(turn)), 0.12 * np.sin(turn), 0.05 * np.sin(turn / 2)]
+        )
+
+    return motion
+
+
+def errors(phases, solutions, start):
+    """Return the displacements' errors of the epochs from a time on [m]."""
+    times = start + np.arange(len(solutions)) * phases.interval
+    found = np.array([s.displacement for s in solutions])
+    return found - np.array([phases.motion(t) for t in times])
+
+
+def test_without_noise_motion_and_clock_are_exact():
+    phases = Phases(FIRM, motion=circle(2.0), noise=0.0)
+    solver = filter_of(FIRM)
+    still = phases.run(solver, 2.0, True)
+    offset = phases.clock - still[-1].clock
+    moving = phases.run(solver, 3.0, False)
+    # Biases of 10 km in metres: 2e-12 each.
+    assert np.abs(errors(phases, moving, 2.0)).max() < 1e-9
+    assert abs(phases.clock - moving[-1].clock - offset) < 1e-9
+
+
+def test_displacement_scatters_by_dop_times_phase_noise():
+    phases = Phases(FIRM, motion=circle(50.0), seed=3)
+    solver = filter_of(FIRM)
+    phases.run(solver, 50.0, True)
+    moving = phases.run(solver, 150.0, False)
+    A = design(10)
+    theory = noise_sd(FIRM) ** 2 * np.linalg.inv(A.T @ A)
+    error = errors(phases, moving, 50.0)
+    # 1500 epochs: 1 +- 1/sqrt(3000), at 4 sigma; biases of 500 epochs add 1/500.
+    ratio = error.std(axis=0) / np.sqrt(np.diag(theory)[:3])
+    assert_allclose(ratio, 1.0, atol=0.08)
+    # The biases' part is 1/500 and some; their common error is the clock's datum. The level of
+    # noise is learnt from 100 epochs of 6 redundant phases, and never below 1: 3 % at one sigma.
+    assert_allclose(moving[-1].covariance[:3, :3], theory[:3, :3], rtol=0.1, atol=1e-9)
+    # The clock's change over a second is that of two independent epochs.
+    assert_allclose(moving[-1].clock_noise, np.sqrt(2.0 * theory[3, 3]), rtol=0.05)
+
+
+@pytest.mark.parametrize("still_s", [6.0, 20.0])
+def test_errors_are_as_large_as_their_covariance_says(still_s):
+    config = PhaseConfig(loop_bandwidth_hz=2.5, phase_floor_sd=0.0, bias_rate_sd=0.0005)
+    squares, growth = [], []
+    for seed in range(30):
+        phases = Phases(config, motion=circle(still_s), rate_hz=5.0, seed=seed)
+        solver = filter_of(config)
+        rest = phases.run(solver, still_s, True)
+        moving = phases.run(solver, 30.0, False)
+        away = moving[-1].displacement - phases.motion(phases.time)
+        P = moving[-1].covariance[:3, :3]
+        squares.append(away @ np.linalg.solve(P, away))
+        growth.append(np.trace(P) / np.trace(rest[-1].covariance[:3, :3]))
+    # Chi-square of 3 x 30 degrees of freedom: 3 +- sqrt(6/30), at 4 sigma.
+    assert abs(np.mean(squares) - 3.0) < 1.8
+    # The drift counts: after 30 s it is no longer the noise that matters.
+    assert min(growth) > 2.0
+
+
+def test_noise_that_loops_share_over_epochs_does_not_make_biases_too_sure():
+    """Errors of a loop of 0.4 Hz at 10 Hz: a calibration of 50 s holds 40 of them, not 500."""
+    config = PhaseConfig(loop_bandwidth_hz=0.4, phase_floor_sd=0.0, **FREE)
+    white = PhaseConfig(**WHITE, **FREE)
+    coloured, independent = (filter_of(c) for c in (config, white))
+    for solver, c in ((coloured, config), (independent, white)):
+        Phases(c).run(solver, 50.0, True)
+    scale = (noise_sd(config) / noise_sd(white)) ** 2
+    ratio = np.trace(coloured.P[:10, :10]) / np.trace(independent.P[:10, :10]) / scale
+    assert_allclose(ratio, 10.0 / (2.0 * 0.4), rtol=0.01)
+
+
+@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("cycles", [0.5, 1.0, -20.0])
+def test_a_slip_in_mid_quake_does_not_move_the_antenna(told, cycles):
+    config = PhaseConfig()
+    phases = Phases(config, motion=circle(20.0), drift=0.0)
+    solver = filter_of(config)
+    phases.run(solver, 20.0, True)
+    before = phases.run(solver, 5.0, False)[-1]
+    phases.bias[4] += cycles * 0.1903
+    at_once = solver.solve(phases.epoch(slipped=(4,) if told else ()), False)
+    assert not at_once.used[4]
+    assert bool(at_once.refused[4]) != told
+    after = phases.run(solver, 5.0, False)
+    assert all(s.used.all() for s in after), "it is calibrated anew, and back"
+    error = errors(phases, [at_once, *after], 25.0)
+    assert (np.abs(error) < 5.0 * np.sqrt(np.diag(after[0].covariance)[:3])).all()
+    # It comes back with what the solution knows without it, and with its own noise.
+    assert np.trace(after[0].common[:3, :3]) > 1.05 * np.trace(before.common[:3, :3])
+    assert solver.counts["slips_found"] == (0 if told else 1)
+
+
+def test_satellites_come_and_go_and_the_solution_stays():
+    config = PhaseConfig()
+    phases = Phases(config, motion=circle(20.0), drift=0.0, seed=5)
+    solver = filter_of(config)
+    phases.run(solver, 20.0, True)
+    found = []
+    for k in range(10):
+        found += phases.run(solver, 1.0, False, lost=(k, (k + 1) % 10))
+        phases.bias[k] += 7.0  # a new arc of the one that returns
+        found.append(solver.solve(phases.epoch(slipped=(k,)), False))
+        found += phases.run(solver, 0.2, False)
+    error = errors(phases, found, 20.0)
+    last = found[-1]
+    assert (np.abs(error) < 5.0 * np.sqrt(np.diag(last.covariance)[:3])).all()
+    assert last.used.all()
+    # All have been calibrated on others' solutions by now: that shows in the covariance.
+    assert np.trace(last.common[:3, :3]) > 3.0 * np.trace(found[0].common[:3, :3])
+
+
+def test_a_satellite_away_without_a_slip_goes_on_where_it_was():
+    phases = Phases(FIRM, motion=circle(5.0), noise=0.0)
+    solver = filter_of(FIRM)
+    phases.run(solver, 5.0, True)
+    phases.run(solver, 3.0, False, lost=(2,))
+    assert phases.run(solver, 0.1, False)[0].used[2]
+    phases.run(solver, 1.0, False, lost=(2,))
+    phases.lock[2] = 0.1  # the mark of the slip came in an epoch that was lost
+    assert not phases.run(solver, 0.1, False)[0].used[2]
+
+
+def test_four_satellites_are_solved_and_three_are_not():
+    phases = Phases(PhaseConfig(), count=5, motion=circle(10.0), drift=0.0)
+    solver = filter_of(PhaseConfig())
+    phases.run(solver, 10.0, True)
+    four = phases.run(solver, 1.0, False, lost=(1,))
+    assert (
+        np.abs(errors(phases, four, 10.0)) < 5.0 * np.sqrt(np.diag(four[0].covariance)[:3])
+    ).all()
+    assert phases.run(solver, 0.1, False, lost=(1, 3))[-1] is None
+    assert phases.run(solver, 0.1, False)[-1].used.all(), (
+        "biases outlive an epoch without solution"
+    )
+
+
+def test_all_lost_at_once_waits_for_rest():
+    phases = Phases(PhaseConfig(), motion=circle(10.0), drift=0.0)
+    solver = filter_of(PhaseConfig())
+    phases.run(solver, 10.0, True)
+    solver.solve(phases.epoch(slipped=tuple(range(10))), False)
+    assert phases.run(solver, 1.0, False) == [None] * 10
+    phases.motion = lambda t: np.zeros(3)
+    back = phases.run(solver, 20.0, True)
+    assert back[-1] is None or not back[-1].calibrated
+
+
+def test_unexpected_noise_is_seen_in_the_residuals_and_owned_up_to():
+    config = PhaseConfig(**WHITE)
+    phases = Phases(config, motion=circle(20.0), noise=3.0, drift=0.0)
+    solver = filter_of(config)
+    phases.run(solver, 20.0, True)
+    assert_allclose(solver.noise_level, 9.0, rtol=0.25)
+    moving = phases.run(solver, 10.0, False)
+    error = errors(phases, moving, 20.0)
+    last = moving[-1]
+    sd = np.sqrt(np.diag(last.covariance - last.common)[:3])
+    assert_allclose(error.std(axis=0) / sd, 1.0, atol=0.3)
+    assert all(s.used.all() for s in moving)
+
+
+def test_an_offset_stays_and_calibration_goes_on_there():
+    offset = np.array([0.31, -0.12, 0.05])
+
+    def step(t):
+        return offset * np.clip((t - 20.0) / 2.0, 0.0, 1.0)
+
+    config = PhaseConfig(bias_rate_sd=0.0)
+    phases = Phases(config, motion=step, drift=0.0)
+    solver = filter_of(config, settle_s=5.0)
+    phases.run(solver, 20.0, True)
+    phases.run(solver, 5.0, False)
+    after = phases.run(solver, 60.0, True)
+    assert solver.reference.counts["new_references"] == 1
+    found = np.mean([s.displacement for s in after[-100:]], axis=0)
+    sd = np.sqrt(np.diag(solver.reference.covariance))
+    assert (np.abs(found - offset) < 4.0 * sd + 2e-4).all()
+    assert (sd < 0.003).all()
+    assert (np.diag(after[-1].covariance)[:3] > sd**2).all()
+
+
+@pytest.mark.parametrize("peak", [0.02, 0.3])
+def test_without_an_imu_phases_tell_of_motion(peak):
+    def motion(t):
+        if t < 20.0:
+            return np.zeros(3)
+        return np.array([peak * np.sin(2.0 * (t - 20.0)), 0.0, 0.0])
+
+    config = PhaseConfig()
+    phases = Phases(config, motion=motion, drift=0.0)
+    solver = filter_of(config, witnessed=False)
+    phases.run(solver, 20.0, True)
+    moving = phases.run(solver, 20.0, True)
+    assert solver.reference.moved
+    error = errors(phases, moving, 20.0)
+    assert np.abs(error[:, 0]).max() < 0.006
+
+
+def test_an_epoch_of_twelve_satellites_takes_less_than_a_millisecond():
+    phases = Phases(PhaseConfig(), count=12)
+    solver = filter_of(PhaseConfig())
+    phases.run(solver, 1.0, True)
+
+    def once(still):
+        epochs = [phases.epoch() for _ in range(20)]
+        began = time.perf_counter()
+        for epoch in epochs:
+            solver.solve(epoch, still)
+        return (time.perf_counter() - began) / 20
+
+    assert min(once(True) for _ in range(10)) < 1e-3
+    assert min(once(False) for _ in range(10)) < 1e-3

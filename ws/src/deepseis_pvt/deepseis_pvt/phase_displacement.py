@@ -1,0 +1,375 @@
+"""Displacement of one antenna from carrier phases, without a base, epoch by epoch.
+
+Before the event the antenna is known to be still where it was surveyed, and each satellite's phase
+residual there calibrates a bias (ambiguity, atmosphere, orbit, satellite clock) and its slow
+rate. In the event every epoch is solved for displacement and receiver clock by itself. Biases and
+rates are the states of a filter (`phase_kernels`); they drift on by random walks, so the
+covariance grows with the time since the calibration, and what satellites disagree on beyond four
+unknowns goes on calibrating them. Stillness adds that the displacement is known: then all but the
+clock does.
+
+The scheme is variometric ("temporal point positioning"): G. Colosimo, M. Crespi and A. Mazzoni,
+"Real-time GPS seismology with a stand-alone receiver", J. Geophys. Res. 116, B11302, 2011, with
+differences to a filtered past in place of the last epoch, so that nothing is integrated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from deepseis_core.config import check, setting
+from deepseis_core.constants import L1_WAVELENGTH
+from deepseis_core.types import FloatArray, IntArray
+from deepseis_pvt import phase_kernels as kernels
+from deepseis_pvt.still_reference import StillReference
+
+SLOTS: Final = 32
+"""Satellites that the filter has room for: a slot for each GPS PRN."""
+CLOCK: Final = 3
+"""Index of the clock in the free part; before it east, north, up."""
+LONGEST_GAP: Final = 60.0
+"""A satellite that has been away for longer begins anew [s]."""
+WAVELENGTH_RAD: Final = L1_WAVELENGTH / (2.0 * np.pi)
+INTEGRATION: Final = 0.02
+"""Coherent integration of the squaring loss [s]."""
+
+
+@dataclass(frozen=True)
+class PhaseConfig:
+    """Settings of the displacement from phases."""
+
+    phase_mask_deg: float = setting(10.0, "elevation mask [deg]", low=0.0, high=60.0)
+    loop_bandwidth_hz: float = setting(
+        8.0, "noise bandwidth of the carrier loops: noise by C/N0, white below it [Hz]", low=0.1
+    )
+    phase_floor_sd: float = setting(
+        0.0003, "phase noise besides the thermal one, at the zenith [m]", low=0.0, high=0.05
+    )
+    bias_walk: float = setting(
+        0.0002, "random walk of biases, at the zenith [m/sqrt(s)]", low=0.0, high=0.1
+    )
+    bias_rate_sd: float = setting(
+        0.0002, "rate of biases before it is calibrated, at the zenith [m/s]", low=0.0, high=0.1
+    )
+    bias_rate_walk: float = setting(
+        3e-6, "random walk of rates, at the zenith [m/s/sqrt(s)]", low=0.0, high=0.01
+    )
+    calibration_s: float = setting(5.0, "stillness before displacements count [s]", low=0.1)
+    phase_false_alarm: float = setting(
+        1e-5, "of the outlier test, per epoch [-]", low=1e-12, high=0.1
+    )
+    max_slips: int = setting(3, "satellites excluded at most, per epoch", low=0, high=8)
+    noise_memory_s: float = setting(
+        10.0, "memory of the noise level that residuals show [s]", low=0.1, high=1e4
+    )
+
+
+@dataclass(frozen=True)
+class PhaseEpoch:
+    """Phases of one epoch, m satellites in ascending ``slot``.
+
+    ``residual`` [m] is against the surveyed antenna, ``design`` (m, 4) what displacement east,
+    north, up and clock add to it; ``slipped`` tells that a phase does not go on from the one
+    before, ``lock_time`` for how long it has gone on [s]. ``code_less_phase`` [m] gives the
+    codes' residuals: where the clock begins.
+    """
+
+    time: float
+    interval: float
+    slot: IntArray
+    residual: FloatArray
+    design: FloatArray
+    elevation: FloatArray
+    cn0_dbhz: FloatArray
+    slipped: NDArray[np.bool_]
+    lock_time: FloatArray
+    code_less_phase: FloatArray
+
+
+@dataclass(frozen=True)
+class PhaseSolution:
+    """One epoch: displacement [m] east, north, up and clock [m]; arrays aligned on the epoch's.
+
+    ``covariance`` is of both, ``common`` the part of it that stays the same for many epochs
+    (biases, not noise). ``used`` are the satellites of the solution, ``refused`` those whose
+    phases the others contradict.
+    """
+
+    displacement: FloatArray
+    clock: float
+    covariance: FloatArray
+    common: FloatArray
+    clock_noise: float
+    residual: FloatArray
+    used: NDArray[np.bool_]
+    refused: NDArray[np.bool_]
+    calibrated: bool
+
+
+@dataclass
+class _Fit:
+    """What `phase_kernels.fit` found for some satellites of an epoch."""
+
+    rows: IntArray
+    x: FloatArray
+    C: FloatArray
+    G: FloatArray
+    residual: FloatArray
+    normalised: FloatArray
+    chi_square: float
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom."""
+        return len(self.rows) - len(self.x)
+
+
+class PhaseDisplacement:
+    """Calibrates while the antenna is still, and solves every epoch.
+
+    Parameters
+    ----------
+    config : PhaseConfig, optional
+        Settings.
+    reference : StillReference, optional
+        Where the antenna is when it is still.
+
+    Attributes
+    ----------
+    noise_level : float
+        Variance of the phases as residuals show it, over that of the model [-], at least 1.
+    calibrated : float
+        Stillness so far [s].
+    """
+
+    def __init__(
+        self, config: PhaseConfig | None = None, reference: StillReference | None = None
+    ) -> None:
+        self.config = c = config or PhaseConfig()
+        check(c)
+        self.state: FloatArray = np.zeros(2 * SLOTS)
+        self.P: FloatArray = np.zeros((2 * SLOTS, 2 * SLOTS))
+        self.reference = reference or StillReference()
+        self.noise_level, self.calibrated = 1.0, 0.0
+        self._walk: FloatArray = np.zeros(SLOTS)
+        self._seen: FloatArray = np.full(SLOTS, -np.inf)
+        self._broken: NDArray[np.bool_] = np.zeros(SLOTS, np.bool_)
+        self._time: float | None = None
+        self._limits = [float(chdtri(n, c.phase_false_alarm)) for n in range(1, SLOTS + 1)]
+        self.counts = {"slips_found": 0, "arcs": 0, "contradictions": 0}
+
+    @property
+    def members(self) -> IntArray:
+        """Slots in use."""
+        return np.flatnonzero(self._seen > -np.inf)
+
+    def shift(self, slot: int, change: float) -> None:
+        """Take account of a changed model: a satellite's residuals have moved by so much [m]."""
+        self.state[slot] += change
+
+    def solve(self, epoch: PhaseEpoch, still: bool) -> PhaseSolution | None:
+        """Work an epoch through; None if it has no solution.
+
+        Parameters
+        ----------
+        epoch : PhaseEpoch
+        still : bool
+            The antenna does not move, as far as others than the phases know.
+        """
+        dt = self._drift(epoch)
+        noise = self.noise_level * self._noise(epoch)
+        gap = epoch.time - self._seen[epoch.slot]
+        self._broken[epoch.slot] |= epoch.slipped | (epoch.lock_time < gap - 0.5 * epoch.interval)
+        known = np.isfinite(gap) & ~self._broken[epoch.slot]
+        innovation = epoch.residual - self.state[epoch.slot]
+        free, refused = self._free(epoch, innovation, noise, known)
+        solution = None
+        if free is not None:
+            solution = self._solution(epoch, free, refused, noise)
+        at_reference = self._is_at_reference(epoch.time, still, solution)
+        self._calibrate(epoch, innovation, noise, known & ~refused, free, at_reference)
+        self.calibrated += dt if at_reference and self.members.size >= CLOCK + 1 else 0.0
+        return solution
+
+    def _is_at_reference(self, time: float, still: bool, solution: PhaseSolution | None) -> bool:
+        nothing = np.zeros((3, 3))
+        if solution is None:
+            return self.reference.decide(time, still, None, nothing, nothing)
+        parts = solution.covariance[:3, :3], solution.common[:3, :3]
+        return self.reference.decide(time, still, solution.displacement, *parts)
+
+    def _drift(self, epoch: PhaseEpoch) -> float:
+        """Carry the state to the epoch; forget satellites long gone."""
+        dt = 0.0 if self._time is None else epoch.time - self._time
+        self._time = epoch.time
+        c = self.config
+        growth = 1.0 / np.sin(epoch.elevation) ** 2
+        self._walk[epoch.slot] = growth
+        if dt > 0.0:
+            kernels.propagate(
+                self.state, self.P, self.members, c.bias_walk**2 * self._walk,
+                c.bias_rate_walk**2 * self._walk, dt,
+            )  # fmt: skip
+        for slot in self.members[epoch.time - self._seen[self.members] > LONGEST_GAP]:
+            self._forget(int(slot))
+        return dt
+
+    def _noise(self, epoch: PhaseEpoch) -> FloatArray:
+        """Return the variance of the phases by the model [m^2]."""
+        c = self.config
+        cn0 = 10.0 ** (epoch.cn0_dbhz / 10.0)
+        thermal = c.loop_bandwidth_hz / cn0 * (1.0 + 0.5 / (INTEGRATION * cn0))
+        floor = (c.phase_floor_sd / np.sin(epoch.elevation)) ** 2
+        return WAVELENGTH_RAD**2 * thermal + floor
+
+    def _fit(
+        self, epoch: PhaseEpoch, y: FloatArray, noise: FloatArray, good: NDArray[np.bool_],
+        design: FloatArray,
+    ) -> _Fit | None:  # fmt: skip
+        rows = np.flatnonzero(good)
+        m, p = len(rows), design.shape[1]
+        found = _Fit(
+            rows, np.empty(p), np.empty((p, p)), np.empty((p, m)), np.empty(m), np.empty(m), -1.0
+        )
+        if m < p:
+            return None
+        found.chi_square = kernels.fit(
+            self.P, epoch.slot[rows], y[rows], design[rows], noise[rows],
+            found.x, found.C, found.G, found.residual, found.normalised,
+        )  # fmt: skip
+        return found if found.chi_square >= 0.0 else None
+
+    def _free(
+        self, epoch: PhaseEpoch, y: FloatArray, noise: FloatArray, known: NDArray[np.bool_]
+    ) -> tuple[_Fit | None, NDArray[np.bool_]]:
+        """Solve for displacement and clock, without the satellites that the others contradict."""
+        refused = np.zeros(len(known), np.bool_)
+        found = self._fit(epoch, y, noise, known, epoch.design)
+        for _ in range(self.config.max_slips):
+            if found is None or self._passes(found) or found.freedom < 2:
+                break
+            worst = found.rows[int(np.argmax(np.abs(found.normalised)))]
+            refused[worst] = True
+            found = self._fit(epoch, y, noise, known & ~refused, epoch.design)
+        if found is None or found.freedom == 0:
+            return found, refused
+        if not self._passes(found):
+            self.counts["contradictions"] += 1
+        self._learn_noise(found, epoch.interval)
+        self.counts["slips_found"] += int(refused.sum())
+        return found, refused
+
+    def _passes(self, found: _Fit) -> bool:
+        return found.freedom == 0 or found.chi_square <= self._limits[found.freedom - 1]
+
+    def _learn_noise(self, found: _Fit, interval: float) -> None:
+        """Follow the level of noise that the residuals show: motion is not in them."""
+        shown = min(found.chi_square / found.freedom, 9.0) * self.noise_level
+        weight = min(1.0, interval / self.config.noise_memory_s)
+        self.noise_level = max(1.0, self.noise_level + weight * (shown - self.noise_level))
+
+    def _solution(
+        self, epoch: PhaseEpoch, found: _Fit, refused: NDArray[np.bool_], noise: FloatArray
+    ) -> PhaseSolution:
+        covariance = found.C.copy()
+        if not self._passes(found):
+            covariance *= found.chi_square / found.freedom
+        variance = (found.G**2) @ noise[found.rows]
+        common = covariance - (found.G * noise[found.rows]) @ found.G.T
+        covariance[:3, :3] += self.reference.covariance
+        residual = np.full(len(refused), np.nan)
+        residual[found.rows] = found.residual
+        walk = self.config.bias_walk**2 * self._walk[epoch.slot[found.rows]]
+        drift = float((found.G[CLOCK] ** 2) @ walk)
+        return PhaseSolution(
+            displacement=found.x[:3].copy(),
+            clock=float(found.x[CLOCK]),
+            covariance=covariance,
+            common=common,
+            clock_noise=float(np.sqrt(2.0 * variance[CLOCK] + drift)),
+            residual=residual,
+            used=np.isfinite(residual),
+            refused=refused,
+            calibrated=self.calibrated >= self.config.calibration_s,
+        )
+
+    def _calibrate(
+        self, epoch: PhaseEpoch, y: FloatArray, noise: FloatArray, good: NDArray[np.bool_],
+        free: _Fit | None, still: bool,
+    ) -> None:  # fmt: skip
+        """Let biases learn, and give satellites that begin an arc theirs."""
+        found, design = free, epoch.design
+        offset = np.zeros(len(y))
+        if still:
+            design = np.ascontiguousarray(epoch.design[:, CLOCK:])
+            offset = epoch.design[:, :CLOCK] @ self.reference.position
+            found = self._fit(epoch, y - offset, noise, good, design) or self._datum(epoch)
+        if found is None:
+            return
+        rows = found.rows
+        fresh = np.flatnonzero(~good)
+        # Epochs share the noise of a loop slower than they come: so many count as one.
+        slow = noise * max(1.0, 0.5 / (epoch.interval * self.config.loop_bandwidth_hz))
+        started = self._start(epoch, found, fresh, design, offset, slow)
+        if len(rows) > len(found.x):
+            kernels.absorb(
+                self.state, self.P, self.members, epoch.slot[rows], (y - offset)[rows],
+                design[rows], slow[rows],
+            )  # fmt: skip
+        self._enter(epoch, fresh, *started)
+
+    def _datum(self, epoch: PhaseEpoch) -> _Fit:
+        """Begin: the clock is what the codes say; only its changes mean anything."""
+        self.calibrated = 0.0
+        none = np.zeros(0)
+        clock = np.median(epoch.residual + epoch.code_less_phase) if len(epoch.slot) else 0.0
+        return _Fit(
+            none.astype(np.int64), np.array([clock]), np.zeros((1, 1)),
+            np.zeros((1, 0)), none, none, 0.0,
+        )  # fmt: skip
+
+    def _start(
+        self, epoch: PhaseEpoch, found: _Fit, fresh: IntArray, design: FloatArray,
+        offset: FloatArray, noise: FloatArray,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+        """Work out biases that begin at this epoch, and their covariances."""
+        bias = epoch.residual[fresh] - offset[fresh] - design[fresh] @ found.x
+        rows, block = np.zeros((len(fresh), 2 * SLOTS)), np.zeros((len(fresh), len(fresh)))
+        if len(fresh):
+            kernels.introduce(
+                self.P, self.members, epoch.slot[found.rows], found.C, found.G,
+                epoch.slot[fresh], np.ascontiguousarray(design[fresh]), noise[fresh], rows, block,
+            )  # fmt: skip
+        return bias, rows, block
+
+    def _enter(
+        self, epoch: PhaseEpoch, fresh: IntArray, bias: FloatArray, rows: FloatArray,
+        block: FloatArray,
+    ) -> None:  # fmt: skip
+        """Put new biases into the filter; the rate of a satellite that had one goes on."""
+        slots = epoch.slot[fresh]
+        for k, slot in enumerate(slots.tolist()):
+            if self._seen[slot] == -np.inf:
+                rate = SLOTS + slot
+                self.state[rate] = 0.0
+                self.P[rate, :] = self.P[:, rate] = 0.0
+                self.P[rate, rate] = (self.config.bias_rate_sd**2) * self._walk[slot]
+            self.state[slot] = bias[k]
+            row = rows[k].copy()
+            row[slots] = 0.0
+            self.P[slot, :] = self.P[:, slot] = row
+        self.P[np.ix_(slots, slots)] = block
+        self._seen[epoch.slot] = epoch.time
+        self._broken[slots] = False
+        self.counts["arcs"] += len(slots)
+
+    def _forget(self, slot: int) -> None:
+        for index in (slot, SLOTS + slot):
+            self.P[index, :] = self.P[:, index] = 0.0
+            self.state[index] = 0.0
+        self._seen[slot] = -np.inf

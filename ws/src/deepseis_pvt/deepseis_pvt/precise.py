@@ -1,0 +1,269 @@
+"""Precise positions from observations, in order of validity: what the pvt node publishes.
+
+The solutions themselves are in `phase_displacement`; here they get their observations, orbits
+and the state of motion, and become values that cross packages.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from deepseis_core.config import setting
+from deepseis_core.constants import L1_WAVELENGTH, NS_PER_S, NS_PER_WEEK
+from deepseis_core.ephemeris import PACKED_COLUMNS, states_from_pseudoranges
+from deepseis_core.types import (
+    FloatArray,
+    IntArray,
+    Lli,
+    MotionKind,
+    MotionState,
+    Observations,
+    PrecisePosition,
+    PreciseStatus,
+)
+from deepseis_pvt import phase_kernels as kernels
+from deepseis_pvt.ephemeris_book import EphemerisBook
+from deepseis_pvt.phase_displacement import (
+    CLOCK,
+    PhaseConfig,
+    PhaseDisplacement,
+    PhaseEpoch,
+    PhaseSolution,
+)
+from deepseis_pvt.pvt_engine import EVER
+from deepseis_pvt.spp import SppConfig
+from deepseis_pvt.still_reference import ReferenceConfig, StillReference
+
+PHASE: Final = "phase"
+"""``method`` of one station without a base."""
+NO_IONOSPHERE: Final = np.zeros(8)
+
+
+@dataclass(frozen=True)
+class PreciseConfig:
+    """Who tells of the antenna's rest."""
+
+    wait_motion: bool = setting(
+        False, "an IMU does: wait for motion/state at every epoch, and calibrate at rest"
+    )
+    still_until_s: float = setting(
+        0.0,
+        "otherwise: still for that long after the first epoch, then never; 0: as phases tell [s]",
+        low=0.0,
+    )
+
+
+class PhasePositions:
+    """Displacement of a surveyed antenna from its phases, at every observation epoch.
+
+    Parameters
+    ----------
+    antenna_ecef : ndarray, shape (3,)
+        Surveyed, ECEF [m].
+    book : EphemerisBook
+        Orbits and ionosphere; shared with the engine of positions.
+    config, phase, reference, spp : optional
+        Settings; of the last the models of the atmosphere.
+    """
+
+    def __init__(
+        self,
+        antenna_ecef: FloatArray,
+        book: EphemerisBook,
+        config: PreciseConfig | None = None,
+        phase: PhaseConfig | None = None,
+        reference: ReferenceConfig | None = None,
+        spp: SppConfig | None = None,
+    ) -> None:
+        self.antenna: FloatArray = np.array(antenna_ecef, np.float64)
+        self.config, self.book = config or PreciseConfig(), book
+        self.models, self.witnessed = spp or SppConfig(), self.config.wait_motion
+        self.filter = PhaseDisplacement(phase, StillReference(reference, witnessed=self.witnessed))
+        self._states: deque[MotionState] = deque()
+        self._motion_valid = -1
+        self._kind = int(MotionKind.UNKNOWN)
+        self._orbits: dict[str, FloatArray] = {}
+        self._used: dict[int, FloatArray] = {}
+        self._klobuchar: FloatArray | None = None
+        self._start_ns: int | None = None
+
+    @property
+    def allowed_through(self) -> int:
+        """Last sample whose epoch may be solved: stillness is decided there."""
+        return self._motion_valid if self.witnessed else EVER
+
+    @property
+    def statistics(self) -> dict[str, int]:
+        """Counts since the start, for diagnostics."""
+        return {**self.filter.counts, **self.filter.reference.counts}
+
+    def push_motion(self, state: MotionState) -> None:
+        """Take a decision on motion, in order."""
+        self._states.append(state)
+
+    def motion_valid(self, through: int) -> None:
+        """All decisions through this sample have been pushed."""
+        self._motion_valid = max(self._motion_valid, through)
+
+    def solve(self, observations: Observations) -> PrecisePosition:
+        """Return the precise position of an epoch; epochs come in order."""
+        o = observations
+        gps_ns = o.week * NS_PER_WEEK + o.tow_ns
+        if self._start_ns is None:
+            self._start_ns = gps_ns
+        time = (gps_ns - self._start_ns) / NS_PER_S
+        still = self._still(o.sample_index, time)
+        epoch, names = self._epoch(o, gps_ns, time)
+        solution = self.filter.solve(epoch, still)
+        return nothing(o, PHASE) if solution is None else position_of(o, names, solution)
+
+    def _still(self, sample_index: int, time: float) -> bool:
+        """Tell whether the antenna is still at an epoch, as far as others than phases know."""
+        if not self.witnessed:
+            return self.config.still_until_s == 0.0 or time <= self.config.still_until_s
+        # From the decision on: what it says of the past must not depend on when it arrives.
+        while self._states and self._states[0].valid_through <= sample_index:
+            self._kind = self._states.popleft().state
+        return self._kind == MotionKind.STATIC
+
+    def _choose(
+        self, o: Observations, gps_ns: int
+    ) -> tuple[list[int], IntArray, list[FloatArray]]:
+        """Return rows, slots and orbits of all satellites with phase and orbit.
+
+        Once a second it is looked for better orbits.
+        """
+        rows, orbits = [], []
+        phase = np.isfinite(o.carrier_phase_cycles).tolist()
+        if gps_ns % NS_PER_S == 0:
+            self._orbits.clear()
+        for row, name in enumerate(o.satellites):
+            if name[0] != "G" or not phase[row]:
+                continue
+            orbit = self._orbits.get(name)
+            if orbit is None:
+                item = self.book.find(name, o.sample_index, gps_ns)
+                if item is None:
+                    continue
+                orbit = self._orbits[name] = item[1]
+            rows.append(row)
+            orbits.append(orbit)
+        slots = np.array([int(o.satellites[row][1:]) - 1 for row in rows], np.int64)
+        return rows, slots, orbits
+
+    def _residuals(
+        self, o: Observations, rows: list[int], packed: FloatArray, klobuchar: FloatArray | None
+    ) -> FloatArray:
+        table = np.empty((len(rows), 5))
+        kernels.phase_residuals(
+            self.antenna, states_from_pseudoranges(packed, o.week, o.tow_ns, o.pseudorange[rows]),
+            o.carrier_phase_cycles[rows] * L1_WAVELENGTH,
+            NO_IONOSPHERE if klobuchar is None else klobuchar, o.tow_ns / NS_PER_S,
+            self.models.troposphere, self.models.ionosphere and klobuchar is not None, table,
+        )  # fmt: skip
+        return table
+
+    def _keep_biases(
+        self, o: Observations, rows: list[int], slots: IntArray, orbits: list[FloatArray]
+    ) -> None:
+        """Carry biases over to a new orbit or ionosphere: nothing moves as models change."""
+        klobuchar = self.book.klobuchar(o.sample_index)
+        new_air = klobuchar is not self._klobuchar
+        changed = [
+            k
+            for k, slot in enumerate(slots.tolist())
+            if slot in self._used and (new_air or self._used[slot] is not orbits[k])
+        ]
+        if changed:
+            where = [rows[k] for k in changed]
+            old = np.array([self._used[slot] for slot in slots[changed].tolist()])
+            before = self._residuals(o, where, old, self._klobuchar)
+            after = self._residuals(o, where, np.array([orbits[k] for k in changed]), klobuchar)
+            steps = after[:, kernels.RESIDUAL] - before[:, kernels.RESIDUAL]
+            for slot, step in zip(slots[changed].tolist(), steps.tolist(), strict=True):
+                self.filter.shift(slot, step)
+        self._klobuchar = klobuchar
+        self._used.update(zip(slots.tolist(), orbits, strict=True))
+
+    def _epoch(self, o: Observations, gps_ns: int, time: float) -> tuple[PhaseEpoch, list[str]]:
+        rows, slot, orbits = self._choose(o, gps_ns)
+        self._keep_biases(o, rows, slot, orbits)
+        packed = np.array(orbits).reshape(len(rows), PACKED_COLUMNS)
+        table = self._residuals(o, rows, packed, self._klobuchar)
+        high = table[:, kernels.ELEVATION] >= np.radians(self.filter.config.phase_mask_deg)
+        rows = [row for row, fit in zip(rows, high, strict=True) if fit]
+        slot, table = slot[high], table[high]
+        design = np.ones((len(rows), 4))
+        design[:, :CLOCK] = table[:, kernels.EAST :]
+        epoch = PhaseEpoch(
+            time=time,
+            interval=o.interval,
+            slot=slot,
+            residual=np.ascontiguousarray(table[:, kernels.RESIDUAL]),
+            design=design,
+            elevation=table[:, kernels.ELEVATION],
+            cn0_dbhz=o.cn0_dbhz[rows].astype(np.float64),
+            slipped=(o.lli[rows] & Lli.SLIP) != 0,
+            lock_time=o.lock_time[rows].astype(np.float64),
+            code_less_phase=o.pseudorange[rows] - o.carrier_phase_cycles[rows] * L1_WAVELENGTH,
+        )
+        return epoch, [o.satellites[row] for row in rows]
+
+
+def phase_positions(
+    position_ecef: Sequence[float],
+    book: EphemerisBook,
+    config: PreciseConfig,
+    phase: PhaseConfig,
+    reference: ReferenceConfig,
+    spp: SppConfig,
+) -> PhasePositions | None:
+    """Return what solves for displacements; None where the antenna has not been surveyed."""
+    if len(position_ecef) != 3:
+        return None
+    return PhasePositions(np.array(position_ecef), book, config, phase, reference, spp)
+
+
+def nothing(observations: Observations, method: str) -> PrecisePosition:
+    """Return the statement that an epoch has no precise position."""
+    o = observations
+    return PrecisePosition(
+        sample_index=o.sample_index,
+        week=o.week,
+        tow_ns=o.tow_ns,
+        valid_through=o.valid_through,
+        method=method,
+        status=PreciseStatus.NONE,
+        displacement_enu=np.full(3, np.nan),
+        covariance_enu=np.full((3, 3), np.nan),
+        clock_bias=float("nan"),
+        clock_bias_sd=float("nan"),
+    )
+
+
+def position_of(
+    observations: Observations, names: list[str], solution: PhaseSolution
+) -> PrecisePosition:
+    """Return a solution as the value that crosses packages."""
+    o, used = observations, solution.used
+    status = PreciseStatus.PHASE if solution.calibrated else PreciseStatus.CALIBRATING
+    return PrecisePosition(
+        sample_index=o.sample_index,
+        week=o.week,
+        tow_ns=o.tow_ns,
+        valid_through=o.valid_through,
+        method=PHASE,
+        status=status,
+        displacement_enu=solution.displacement,
+        covariance_enu=np.ascontiguousarray(solution.covariance[:CLOCK, :CLOCK]),
+        clock_bias=solution.clock,
+        clock_bias_sd=solution.clock_noise,
+        satellites=tuple(name for name, use in zip(names, used, strict=True) if use),
+        phase_residual=solution.residual[used].astype(np.float32),
+        rejected=tuple(name for name, use in zip(names, used, strict=True) if not use),
+    )
