@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
-from deepseis_core.constants import L1_WAVELENGTH
+from deepseis_core.constants import L1_WAVELENGTH, SPEED_OF_LIGHT
 from deepseis_core.ephemeris import pack, states_from_pseudoranges
+from deepseis_core.geodesy import ecef_from_enu, geodetic_from_ecef, rotation_enu_ecef
 from deepseis_core.imu_grades import ImuGrade, grade_named
 from deepseis_core.propagation import line_of_sight
 from deepseis_core.types import (
@@ -22,6 +23,8 @@ from deepseis_core.types import (
     MotionKind,
     MotionState,
     Observations,
+    PrecisePosition,
+    PreciseStatus,
     Pvt,
     PvtStatus,
 )
@@ -45,6 +48,7 @@ class Inputs:
     imu: Sequence[ImuSample]
     pvt: Sequence[Pvt]
     motion: Sequence[MotionState]
+    precise: Sequence[PrecisePosition] = ()
 
 
 class FusionBench:
@@ -105,6 +109,8 @@ class FusionBench:
             engine.push_imu(sample)
         for pvt in given["pvt"]:
             engine.push_pvt(pvt)
+        for position in given["precise"]:
+            engine.push_precise(position)
         for state in given["motion"]:
             engine.push_motion(state)
         for valid in watermarks(engine):
@@ -140,6 +146,53 @@ class FusionBench:
         time = time - self.bench.clock(time)
         states = self.bench.site.states(self.bench.motion, time, self.bench.scenario.lever_arm)
         return np.hstack([states.position, states.velocity, states.acceleration]), time
+
+
+def precise_positions(
+    run: FusionBench,
+    *,
+    seed: int = 1,
+    sd: Sequence[float] = (1e-3, 1e-3, 2.5e-3),
+    walk: float = 2e-4,
+    rate_hz: float = 50.0,
+    begin: float = 4.0,
+) -> list[PrecisePosition]:
+    """Make precise positions of the antenna: truth, white noise, and an error that creeps.
+
+    Parameters
+    ----------
+    run : FusionBench
+    seed : int
+    sd : sequence of float
+        White noise, east, north, up [m]; about that of 11 satellites and loops of 8 Hz.
+    walk : float
+        Random walk of the creeping error [m/sqrt(s)].
+    rate_hz : float
+    begin : float
+        First of them [s].
+    """
+    random, step = np.random.default_rng(seed), round(run.sample_rate_hz / rate_hz)
+    samples = np.arange(round(begin * rate_hz) * step, run.bench.sample_count, step)
+    antenna, time = run.antenna(samples)
+    station = run.bench.station()
+    latitude, longitude, _ = geodetic_from_ecef(station.monument_ecef)
+    C_enu_e = rotation_enu_ecef(latitude, longitude)
+    surveyed = ecef_from_enu(station.antenna_lever_arm, station.monument_ecef)
+    shape = (len(samples), 3)
+    creep = np.cumsum(random.normal(0.0, walk / np.sqrt(rate_hz), shape), axis=0)
+    moved = (antenna[:, :3] - surveyed) @ C_enu_e.T
+    moved += random.normal(0.0, sd, shape) + creep
+    clock = SPEED_OF_LIGHT * run.bench.clock(samples / run.sample_rate_hz)
+    clock += random.normal(0.0, 1e-3, len(samples))
+    start = run.bench.start
+    covariance = np.diag(np.square(sd)).ravel()
+    return [
+        PrecisePosition(
+            int(sample), start.week, start.tow_ns + round(t * 1e9), int(sample), "phase",
+            PreciseStatus.PHASE, displacement, covariance, float(bias), 1.5e-3,
+        )
+        for sample, t, displacement, bias in zip(samples, time, moved, clock, strict=True)
+    ]  # fmt: skip
 
 
 @dataclass
@@ -236,7 +289,7 @@ def motion(kind: MotionKind, since: int, decided: int) -> MotionState:
 def as_bytes(output: FusionOutput) -> bytes:
     """Return all numbers of a span."""
     parts = [str((output.status, output.late, output.extrapolated)).encode()]
-    for value in (output.solution, output.aiding):
+    for value in (output.solution, output.aiding, *output.motion):
         for item in vars(value).values():
             parts.append(item.tobytes() if isinstance(item, np.ndarray) else str(item).encode())
     return b"|".join(parts)

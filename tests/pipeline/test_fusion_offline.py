@@ -165,5 +165,5 @@ def test_a_wild_position_changes_nothing() -> None:
     for engine in engines:
         run.run(engine)
         assert engine.delayed is not None
-    learnt = [e.delayed.position.mean for e in engines if e.delayed is not None]
+    learnt = [e.delayed.offsets.position.mean for e in engines if e.delayed is not None]
     assert np.linalg.norm(learnt[1] - learnt[0]) < 0.2

@@ -32,6 +32,7 @@ TYPES: Mapping[str, tuple[str, str]] = {
     "motion/state": ("deepseis_msgs/msg/MotionState", "latched"),
     "ins/solution": ("deepseis_msgs/msg/InsSolution", "stream"),
     "ins/odometry": ("nav_msgs/msg/Odometry", "stream"),
+    "seismo/displacement": ("deepseis_msgs/msg/Displacement", "stream"),
     "/diagnostics": ("diagnostic_msgs/msg/DiagnosticArray", "stream"),
 }
 """Type and quality of service of every topic that is recorded or played."""
@@ -264,7 +265,10 @@ def _inertial(config: GraphConfig) -> list[NodeSpec]:
         "deepseis_ins",
         "fusion",
         "fusion",
-        ("aiding/doppler", "ins/solution", "ins/odometry", "/diagnostics"),
+        (
+            *("aiding/doppler", "ins/solution", "ins/odometry", "seismo/displacement"),
+            "/diagnostics",
+        ),
         ("imu/data_raw", "motion/state", "gnss/pvt", "gnss/ephemeris"),
         "fusion",
         {"satellites": list(config.satellites), "sample_rate_hz": config.sample_rate_hz},

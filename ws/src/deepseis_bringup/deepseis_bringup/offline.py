@@ -247,6 +247,8 @@ def encode(output: Output) -> bytes:
         return encode_imu(value, utc_ns)
     if topic == "ins/solution":
         return codecs.INS_SOLUTION.encode(value, utc_ns, "map")
+    if topic == "seismo/displacement":
+        return codecs.DISPLACEMENT.encode(value, utc_ns, "map")
     if topic == "acquisition/request":
         satellite, sample_index, *_ = value
         return encode_message(codecs.acquisition_request(satellite, sample_index, utc_ns))

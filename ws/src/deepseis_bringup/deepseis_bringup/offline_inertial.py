@@ -16,6 +16,7 @@ from deepseis_frontend.imu_bag import ImuBag
 from deepseis_ins.fusion_config import FusionConfig
 from deepseis_ins.fusion_engine import FusionEngine
 from deepseis_ins.fusion_output import FusionOutput
+from deepseis_ins.ground_motion import displacement_utc_ns
 from deepseis_ins.loose import LooseConfig
 from deepseis_ins.motion_engine import MotionEngine, MotionEngineConfig
 from deepseis_ins.motion_state import MotionConfig
@@ -106,6 +107,8 @@ class InertialChain:
         yield "aiding/doppler", aiding, self.clock.utc_ns(aiding.knot_sample_index)
         if len(solution.sample_index):
             yield "ins/solution", solution, self.clock.utc_ns(int(solution.sample_index[0]))
+        for motion in output.motion:
+            yield "seismo/displacement", motion, displacement_utc_ns(motion)
 
 
 def _station(known: Mapping[str, Any]) -> Station:

@@ -5,7 +5,11 @@ regular samples and at the epochs of GNSS, in order:
 
 - at rest: zero velocity, zero turn and zero displacement since the rest began. GNSS is not used
   but compared with what is known: its slow errors are learnt (`gnss_offset`);
-- moving, or not known to be at rest: GNSS without its slow errors.
+- moving, or not known to be at rest: GNSS without its slow errors, precise positions where there
+  are any, else those of PVT (`gnss_updates`).
+
+Its positions are relative to the place where it rested last, to which the slow errors are
+compared; how uncertain that place is, is kept beside the filter and added for those who ask.
 
 A snapshot is kept of every step. What turns out to have been wrong, because the motion began
 earlier than noticed or because something came late, is undone: back to the snapshot before it and
@@ -15,31 +19,35 @@ all steps again, as if it had been known at once.
 from __future__ import annotations
 
 from bisect import bisect_left, insort
-from dataclasses import replace
-from typing import Final
+from collections.abc import Sequence
+from typing import Final, TypeVar
 
 import numpy as np
 
-from deepseis_core.geodesy import ecef_from_geodetic, rotation_ned_ecef
-from deepseis_core.rotation import quat_rotate
+from deepseis_core.geodesy import rotation_ned_ecef
 from deepseis_core.types import FloatArray, Pvt
 from deepseis_ins import measurements
 from deepseis_ins.error_state import POS
 from deepseis_ins.filter_steps import (
+    POSITION,
+    PRECISE,
+    REGULAR,
     GnssUpdate,
     Rest,
     Step,
-    change_after,
-    has_position,
-    has_velocity,
+    antenna_ecef,
 )
 from deepseis_ins.fusion_config import FusionConfig
-from deepseis_ins.gnss_offset import position_error, velocity_error
+from deepseis_ins.gnss_epochs import Epoch, PreciseEpoch, has_position
+from deepseis_ins.gnss_offset import GnssOffsets
+from deepseis_ins.gnss_updates import GnssUpdates
 from deepseis_ins.imu_history import ImuHistory
-from deepseis_ins.loose import Innovation, LooseFilter
+from deepseis_ins.loose import LooseFilter
 from deepseis_ins.motion_timeline import MotionTimeline
 from deepseis_ins.oscillator_terms import OscillatorTerms
 from deepseis_ins.strapdown import NavState
+
+Taken = TypeVar("Taken", Pvt, PreciseEpoch)
 
 FIRST_INTERVAL_S: Final = 0.1
 """Before the first epoch of GNSS, as if there were one before [s]."""
@@ -84,15 +92,17 @@ class DelayedFilter:
         self.history, self.timeline = history, timeline
         self.lever_arm_b, self.sample_rate_hz = lever_arm_b, sample_rate_hz
         self.rest: Rest | None = None
-        self.position, self.velocity = position_error(config), velocity_error(config)
-        self.counts = dict.fromkeys(
-            ("updates", "rejected", "recovered", "constraints", "undone", "too_old"), 0
-        )
+        self.offsets = GnssOffsets.at_start(config)
+        self.place_n: FloatArray | None = None
+        self._survey_n = config.monument_sd**2 * np.eye(3)
+        self.gnss = GnssUpdates(config, filter, history, lever_arm_b, sample_rate_hz)
+        self._counts = dict.fromkeys(("constraints", "undone", "too_old"), 0)
         self._interval = sample_rate_hz / config.filter_rate_hz
         self._kept = round(config.undo_s * sample_rate_hz)
         self._pvts: list[Pvt] = []
+        self._precise: list[PreciseEpoch] = []
         start = history.sample_index(row)
-        self._steps = [self._snapshot(start, 1)]
+        self._steps = [self._snapshot(start, POSITION)]
 
     # What others need
 
@@ -111,47 +121,68 @@ class DelayedFilter:
         """Row to which it can still go back."""
         return self._steps[0].row
 
-    def covariance(self) -> FloatArray:
-        """Return the covariance of the 15 errors, that of a place held at rest included."""
+    @property
+    def counts(self) -> dict[str, int]:
+        """Counts since the start, for diagnostics."""
+        return self._counts | self.gnss.counts
+
+    def covariances(self) -> tuple[FloatArray, FloatArray]:
+        """Return those of the 15 errors, the survey's included, and of the displacement, NED."""
         P = self.filter.P
-        if self.rest is not None:
-            P[POS, POS] += self.rest.covariance_n
-        return P
+        P[POS, POS] += self.beside()
+        moved = P[POS, POS].copy()
+        P[POS, POS] += self._survey_n
+        return P, moved
+
+    def beside(self) -> FloatArray:
+        """Return what adds to the filter's covariance of displacements, NED, (3, 3) [m^2].
+
+        These are from where the station was surveyed to stand, whose own error counts not.
+        """
+        place = np.zeros((3, 3)) if self.place_n is None else self.place_n
+        if not self.offsets.kind:
+            return place.copy()
+        seconds = self.history.sample_index(self.row) / self.sample_rate_hz
+        C_ne = rotation_ned_ecef(self.nav.latitude, self.nav.longitude)
+        return place + C_ne @ self.offsets.crept(seconds) @ C_ne.T
 
     def antenna_ecef(self) -> FloatArray:
         """Return where the antenna is [m]."""
-        nav = self.filter.nav
-        lever_n = quat_rotate(nav.quat_nb, self.lever_arm_b)
-        C_ne = rotation_ned_ecef(nav.latitude, nav.longitude)
-        return ecef_from_geodetic([nav.latitude, nav.longitude, nav.height]) + lever_n @ C_ne
+        return antenna_ecef(self.nav, self.lever_arm_b)
 
     # Work
 
     def push(self, pvt: Pvt) -> None:
-        """Take an epoch of GNSS that counts from now on."""
-        if not has_position(pvt):
-            return
+        """Take a position of PVT that counts from now on."""
+        if has_position(pvt):
+            self._push(self._pvts, pvt, POSITION)
+
+    def push_precise(self, epoch: PreciseEpoch) -> None:
+        """Take a precise position that counts from now on."""
+        self._push(self._precise, epoch, PRECISE)
+
+    def _push(self, epochs: list[Taken], epoch: Taken, kind: int) -> None:
         first = self._steps[0]
-        if (pvt.sample_index, 1) <= (first.sample_index, first.kind):
-            self.counts["too_old"] += 1
+        if (epoch.sample_index, kind) <= (first.sample_index, first.kind):
+            self._counts["too_old"] += 1
             return
-        insort(self._pvts, pvt, key=lambda item: item.sample_index)
-        if (pvt.sample_index, 1) <= self.done:
-            self.rewind(pvt.sample_index)
+        insort(epochs, epoch, key=_sample_index)
+        if (epoch.sample_index, kind) <= self.done:
+            self.rewind(epoch.sample_index)
 
     def rewind(self, sample_index: int) -> None:
         """Undo all steps at or after a sample; `work` does them again."""
         if self._steps[-1].sample_index < sample_index:
             return
-        self.counts["undone"] += 1
+        self._counts["undone"] += 1
         if self._steps[0].sample_index >= sample_index and len(self._steps) > 1:
-            self.counts["too_old"] += 1
+            self._counts["too_old"] += 1
         while len(self._steps) > 1 and self._steps[-1].sample_index >= sample_index:
             del self._steps[-1]
         step = self._steps[-1]
         self.filter.restore(step.filter)
         self.row, self.rest = step.row, step.rest
-        self.position, self.velocity = step.position, step.velocity
+        self.offsets, self.place_n = step.offsets, step.place_n
         if self.oscillator is not None and step.oscillator is not None:
             self.oscillator.state = step.oscillator
 
@@ -159,35 +190,35 @@ class DelayedFilter:
         """Do all steps up to a sample; return what was done with GNSS."""
         updates = []
         while (due := self._next(horizon)) is not None:
-            sample, pvt = due
+            sample, kind, epoch = due
             self._carry(self.history.number_at(sample))
             still = self._settle(sample)
-            if pvt is not None and self.oscillator is not None:
-                self.oscillator.take(pvt, self.history, self.sample_rate_hz, still=still)
-            if pvt is None:
-                if still:
-                    self._constrain()
+            if epoch is not None and self.oscillator is not None:
+                self.oscillator.take(epoch, self.history, still=still)
+            if epoch is not None:
+                update = self._measured(epoch, still=still)
+                updates += [] if update is None else [update]
             elif still:
-                self._learn(pvt)
-            else:
-                updates.append(self._use(pvt))
-            self._steps.append(self._snapshot(sample, int(pvt is not None)))
+                self._constrain()
+            self._steps.append(self._snapshot(sample, kind))
         self._forget(horizon)
         return updates
 
-    def _next(self, horizon: int) -> tuple[int, Pvt | None] | None:
-        """Return sample of the next step, and its epoch of GNSS."""
+    def _next(self, horizon: int) -> tuple[int, int, Epoch | None] | None:
+        """Return sample and kind of the next step, and its epoch of GNSS."""
         done = self.done
         number = int(done[0] / self._interval)
         while (regular := round(number * self._interval)) <= done[0]:
             number += 1
-        key, pvt = (regular, 0), None
-        for item in self._pvts:
-            if (item.sample_index, 1) > done:
-                if (item.sample_index, 1) < key:
-                    key, pvt = (item.sample_index, 1), item
-                break
-        return (key[0], pvt) if key[0] <= horizon else None
+        key, found = (regular, REGULAR), None
+        waiting: tuple[tuple[int, Sequence[Epoch]], ...]
+        waiting = (PRECISE, self._precise), (POSITION, self._pvts)
+        for kind, epochs in waiting:
+            first = done[0] + (kind <= done[1])
+            at = bisect_left(epochs, first, key=_sample_index)
+            if at < len(epochs) and (epochs[at].sample_index, kind) < key:
+                key, found = (epochs[at].sample_index, kind), epochs[at]
+        return (*key, found) if key[0] <= horizon else None
 
     def _carry(self, row: int) -> None:
         """Propagate to the end of a row."""
@@ -206,16 +237,13 @@ class DelayedFilter:
         """Begin or end a rest where it begins or ends; return whether the station is at rest."""
         still = self.timeline.is_still(sample_index)
         if still and self.rest is None:
-            covariance = self.filter.P[POS, POS].copy()
-            self.rest = Rest(self.antenna_ecef(), self.filter.refer_attitude(), covariance)
-        elif not still and self.rest is not None:
-            nav = self.filter.nav
-            C_ne = rotation_ned_ecef(nav.latitude, nav.longitude)
-            place = C_ne.T @ self.rest.covariance_n @ C_ne
-            # What was learnt at a place is as uncertain as the place.
-            learnt = self.position.covariance + place
-            self.position = replace(self.position, covariance=learnt)
-            self.filter.widen(position_sd=self.rest.covariance_n)
+            if self.place_n is None:
+                self.place_n = np.zeros((3, 3))
+            else:
+                self.place_n = self.beside() + self.filter.P[POS, POS]
+            self.offsets = self.offsets.followed_none()
+            self.rest = Rest(self.antenna_ecef(), self.filter.refer_attitude())
+        elif not still:
             self.rest = None
         return still
 
@@ -224,64 +252,40 @@ class DelayedFilter:
         config, rest, nav = self.config, self.rest, self.filter.nav
         place = config.still_position_sd**2 * np.eye(3)
         angle_sd = np.radians(config.still_angle_sd_deg)
-        self._update(measurements.zero_velocity(nav, config.still_velocity_sd))
-        self._update(measurements.zero_angle(self.filter.nav, rest.C_nb, angle_sd))
-        self._update(
+        update = self.gnss.update
+        update(measurements.zero_velocity(nav, config.still_velocity_sd))
+        update(measurements.zero_angle(self.filter.nav, rest.C_nb, angle_sd))
+        update(
             measurements.gnss_position(self.filter.nav, rest.antenna_ecef, place, self.lever_arm_b)
         )
-        self.counts["constraints"] += 1
+        self._counts["constraints"] += 1
 
-    def _learn(self, pvt: Pvt) -> None:
-        assert self.rest is not None
-        seconds, dt = self._epoch(pvt)
-        self.position = self.position.learn(
-            seconds, pvt.position_ecef, self.rest.antenna_ecef, pvt.position_covariance_ecef, dt
-        )
-        if has_velocity(pvt):
-            self.velocity = self.velocity.learn(
-                seconds, pvt.velocity_ecef, np.zeros(3), pvt.velocity_covariance_ecef, dt
-            )
+    def _measured(self, epoch: Epoch, *, still: bool) -> GnssUpdate | None:
+        """Learn from an epoch of GNSS at rest, or use it."""
+        gnss, offsets = self.gnss, self.offsets
+        precise = isinstance(epoch, PreciseEpoch)
+        dt = self._interval_before(self._precise if precise else self._pvts, epoch)
+        if still:
+            assert self.rest is not None
+            place = self.rest.antenna_ecef
+            if isinstance(epoch, PreciseEpoch):
+                self.offsets = gnss.learn_precise(offsets, epoch, place, dt)
+            else:
+                self.offsets = gnss.learn(offsets, epoch, place, dt)
+            return None
+        if isinstance(epoch, PreciseEpoch):
+            used = gnss.use_precise(offsets, epoch, self.row, dt)
+        else:
+            used = gnss.use(offsets, epoch, self.row, dt)
+        self.offsets = used.offsets
+        return used.update
 
-    def _use(self, pvt: Pvt) -> GnssUpdate:
-        seconds, dt = self._epoch(pvt)
-        moved, gained = change_after(
-            self.filter, self.history, self.row, pvt.sample_index, self.sample_rate_hz
-        )
-        fix = self.position.correct(
-            seconds, pvt.position_ecef - moved, pvt.position_covariance_ecef, dt
-        )
-        measurement = measurements.gnss_position(
-            self.filter.nav, fix.value, fix.covariance, self.lever_arm_b
-        )
-        position, velocity = self._update(measurement), None
-        if has_velocity(pvt):
-            fix = self.velocity.correct(
-                seconds, pvt.velocity_ecef - gained, pvt.velocity_covariance_ecef, dt
-            )
-            measurement = measurements.gnss_velocity(
-                self.filter.nav,
-                self.filter.omega_ib_b,
-                fix.value,
-                fix.covariance,
-                self.lever_arm_b,
-            )
-            velocity = self._update(measurement)
-        self.counts["updates"] += 1
-        return GnssUpdate(pvt.sample_index, (position, velocity))
-
-    def _update(self, measurement: measurements.Measurement) -> Innovation:
-        innovation = self.filter.update(measurement)
-        self.counts["rejected"] += not innovation.accepted
-        self.counts["recovered"] += innovation.recovered
-        return innovation
-
-    def _epoch(self, pvt: Pvt) -> tuple[float, float]:
-        """Return an epoch's time and the time since the one before [s]."""
-        before = bisect_left(self._pvts, pvt.sample_index, key=lambda item: item.sample_index)
-        seconds, interval = pvt.sample_index / self.sample_rate_hz, FIRST_INTERVAL_S
-        if before:
-            interval = seconds - self._pvts[before - 1].sample_index / self.sample_rate_hz
-        return seconds, interval
+    def _interval_before(self, epochs: Sequence[Epoch], epoch: Epoch) -> float:
+        """Return the time since the epoch of its kind before one [s]."""
+        before = bisect_left(epochs, epoch.sample_index, key=_sample_index)
+        if not before:
+            return FIRST_INTERVAL_S
+        return (epoch.sample_index - epochs[before - 1].sample_index) / self.sample_rate_hz
 
     def _snapshot(self, sample_index: int, kind: int) -> Step:
         return Step(
@@ -290,8 +294,8 @@ class DelayedFilter:
             self.row,
             self.filter.snapshot(),
             self.rest,
-            self.position,
-            self.velocity,
+            self.offsets,
+            self.place_n,
             self.oscillator.state if self.oscillator is not None else None,
         )
 
@@ -301,5 +305,12 @@ class DelayedFilter:
         while len(self._steps) > 1 and self._steps[1].sample_index < oldest:
             del self._steps[0]
         first = self._steps[0].sample_index
-        while len(self._pvts) > 1 and self._pvts[1].sample_index < first:
-            del self._pvts[0]
+        lists: tuple[list[Pvt] | list[PreciseEpoch], ...] = self._pvts, self._precise
+        for epochs in lists:
+            old = bisect_left(epochs, first, key=_sample_index) - 1
+            if old > 0:
+                del epochs[:old]
+
+
+def _sample_index(item: Epoch) -> int:
+    return item.sample_index

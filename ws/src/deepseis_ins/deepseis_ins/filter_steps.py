@@ -6,14 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepseis_core.geodesy import rotation_ned_ecef
-from deepseis_core.types import FloatArray, Pvt, PvtStatus
-from deepseis_ins.gnss_offset import SlowError
+from deepseis_core.geodesy import ecef_from_geodetic, rotation_ned_ecef
+from deepseis_core.rotation import quat_rotate
+from deepseis_core.types import FloatArray
+from deepseis_ins.error_state import POS
+from deepseis_ins.gnss_offset import GnssOffsets
 from deepseis_ins.imu_history import ImuHistory
 from deepseis_ins.loose import Innovation, LooseFilter
 from deepseis_ins.loose import Snapshot as FilterSnapshot
 from deepseis_ins.oscillator_terms import OscillatorState
-from deepseis_ins.strapdown import propagate
+from deepseis_ins.strapdown import NavState, propagate
 
 
 @dataclass(frozen=True)
@@ -26,26 +28,27 @@ class Rest:
         Where the antenna is [m].
     C_nb : ndarray, shape (3, 3)
         How the IMU stands.
-    covariance_n : ndarray, shape (3, 3)
-        Of the place, north, east, down [m^2].
     """
 
     antenna_ecef: FloatArray
     C_nb: FloatArray
-    covariance_n: FloatArray
+
+
+REGULAR, PRECISE, POSITION = range(3)
+"""Kinds of steps, in their order at the same sample."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """State after the step at a sample; ``kind`` 0 is a regular one, 1 an epoch of GNSS."""
+    """State after the step at a sample."""
 
     sample_index: int
     kind: int
     row: int
     filter: FilterSnapshot
     rest: Rest | None
-    position: SlowError
-    velocity: SlowError
+    offsets: GnssOffsets
+    place_n: FloatArray | None
     oscillator: OscillatorState | None
 
 
@@ -57,22 +60,18 @@ class GnssUpdate:
     innovations: tuple[Innovation | None, Innovation | None]
 
 
-def has_position(pvt: Pvt) -> bool:
-    """Return whether there is a position with a covariance."""
-    return pvt.status != PvtStatus.NONE and _is_measured(
-        pvt.position_ecef, pvt.position_covariance_ecef
-    )
+def antenna_ecef(nav: NavState, lever_arm_b: FloatArray) -> FloatArray:
+    """Return where the antenna is [m]; the lever arm is forward-right-down."""
+    lever_n = quat_rotate(nav.quat_nb, lever_arm_b)
+    C_ne = rotation_ned_ecef(nav.latitude, nav.longitude)
+    return ecef_from_geodetic([nav.latitude, nav.longitude, nav.height]) + lever_n @ C_ne
 
 
-def has_velocity(pvt: Pvt) -> bool:
-    """Return whether there is a velocity with a covariance."""
-    return _is_measured(pvt.velocity_ecef, pvt.velocity_covariance_ecef)
-
-
-def _is_measured(value: FloatArray, covariance: FloatArray) -> bool:
-    if not (np.isfinite(value).all() and np.isfinite(covariance).all()):
-        return False
-    return bool(np.linalg.eigvalsh(covariance)[0] > 0.0)
+def position_covariance_ecef(filter: LooseFilter) -> FloatArray:
+    """Return the covariance of the filter's position, ECEF, shape (3, 3) [m^2]."""
+    nav = filter.nav
+    C_ne = rotation_ned_ecef(nav.latitude, nav.longitude)
+    return C_ne.T @ filter.P[POS, POS] @ C_ne
 
 
 def change_after(

@@ -4,6 +4,9 @@ The formal sigma of a single-point position is mostly of slow errors: orbits, cl
 They are estimated while the station stands still (`gnss_offset`); what remains is noise of the
 loops. On the bench, with 11 satellites and loops of 8 Hz and 1 Hz, the position's noise is 0.13
 of the formal sigma and correlated over 0.25 s, the velocity's 0.36 and white.
+
+Of precise positions (carrier phases) the noise is told from what they do while the station stands
+still; what creeps in them is said by `precise_growth`.
 """
 
 from __future__ import annotations
@@ -64,6 +67,26 @@ class FusionConfig:
         10.0, "what is unknown of slow errors lasts so long [s]", low=0.0, high=1e5
     )
 
+    precise: bool = setting(True, "use precise positions; PVT where there are none")
+    precise_noise_share: float = setting(
+        1.0, "noise of precise positions as a part of their formal sigma, at first [-]",
+        low=0.1, high=3.0,
+    )  # fmt: skip
+    precise_correlation_s: float = setting(0.03, "correlation time of it [s]", low=0.0, high=10.0)
+    precise_growth: float = setting(
+        3e-4, "random walk of their slow error [m/sqrt(s)]", low=0.0, high=1.0
+    )
+    precise_offset_sd: float = setting(
+        0.05, "their slow error, before it is known [m]", low=1e-4, high=100.0
+    )
+    precise_hold_s: float = setting(
+        0.15, "PVT is used when there has been no precise position for so long [s]",
+        low=0.02, high=10.0,
+    )  # fmt: skip
+    precise_rejections: int = setting(
+        25, "refused in a row, then they have jumped and are compared anew", low=2, high=10_000
+    )
+
     missing_mean_s: float = setting(
         2.0, "missing IMU data are taken as the mean over this before [s]", low=0.05, high=60.0
     )
@@ -92,11 +115,17 @@ class FusionConfig:
     oscillator_on_body: bool = setting(
         False, "the oscillator shakes too: estimate and predict what it feels"
     )
+    oscillator_sensitivity: list[float] = setting(
+        [], "what is known of its g-sensitivity, forward, left, up; empty: nothing [1/g]"
+    )
     oscillator_sensitivity_sd: float = setting(
-        2e-9, "g-sensitivity of an axis before it is known [1/g]", low=0.0, high=1e-6
+        2e-9, "one sigma of that, each axis, before the first event [1/g]", low=0.0, high=1e-6
     )
     oscillator_walk: float = setting(
-        0.01, "random walk of the clock's drift [m/s/sqrt(s)]", low=0.0, high=10.0
+        0.025, "random walk of the clock's drift [m/s/sqrt(s)]", low=0.0, high=10.0
+    )
+    oscillator_phase_walk: float = setting(
+        1e-4, "random walk of the clock beside that [m/sqrt(s)]", low=0.0, high=1.0
     )
     drift_noise: float = setting(0.1, "sigma of a drift of PVT [m/s]", low=1e-4, high=10.0)
 

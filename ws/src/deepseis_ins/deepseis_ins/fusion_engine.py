@@ -23,6 +23,8 @@ from deepseis_core.errors import InputError
 from deepseis_core.imu_grades import ImuGrade
 from deepseis_core.types import (
     Aiding,
+    Displacement,
+    PrecisePosition,
     Pvt,
     PvtStatus,
     Station,
@@ -38,6 +40,8 @@ from deepseis_ins.fusion_output import FusionOutput, FusionStatus, SolutionWrite
 from deepseis_ins.fusion_present import Present
 from deepseis_ins.fusion_start import Site, start_filter
 from deepseis_ins.fusion_time import Timebase
+from deepseis_ins.gnss_epochs import PreciseEpoch
+from deepseis_ins.ground_motion import GroundMotion, of_precise
 from deepseis_ins.imu_history import RowFlag
 from deepseis_ins.loose import LooseConfig
 from deepseis_ins.oscillator_terms import OscillatorTerms
@@ -94,7 +98,12 @@ class FusionEngine(FusionInputs):
         self.loose, self.site = loose or LooseConfig(), Site.of(station)
         self.interpolator = KnotInterpolator(sample_rate_hz)
         self.writer = SolutionWriter(self.site.monument_ecef, self.site.C_enu_e, self.interpolator)
-        self.oscillator = OscillatorTerms(config) if config.oscillator_on_body else None
+        self.ground = GroundMotion(grade, self.history.dt, self.interpolator)
+        self._gnss_motion: list[Displacement] = []
+        self._precise_at = -1
+        self.oscillator: OscillatorTerms | None = None
+        if config.oscillator_on_body:
+            self.oscillator = OscillatorTerms(config, sample_rate_hz)
         self.delayed: DelayedFilter | None = None
         self.timebase = Timebase(SOURCE, sample_rate_hz)
         self._reported = -1
@@ -163,6 +172,8 @@ class FusionEngine(FusionInputs):
                 self.delayed.rewind(changed)
         for pvt in self.due_pvts(begin - self.delay):
             self._take_pvt(pvt)
+        for position in self.due_precise(begin - self.delay):
+            self._take_precise(position)
 
     def _take_pvt(self, pvt: Pvt) -> None:
         if pvt.status == PvtStatus.NONE:
@@ -170,6 +181,17 @@ class FusionEngine(FusionInputs):
         self.timebase.take(pvt)
         if self.delayed is not None:
             self.delayed.push(pvt)
+
+    def _take_precise(self, position: PrecisePosition) -> None:
+        epoch = PreciseEpoch.of(position, self.site.antenna_ecef, self.site.C_enu_e)
+        if epoch is None:
+            return
+        interval = (epoch.sample_index - self._precise_at) / self.sample_rate_hz
+        self._precise_at = epoch.sample_index
+        through = self.next_sample + self.block - 1
+        self._gnss_motion.append(of_precise(position, through, interval))
+        if self.config.precise and self.delayed is not None:
+            self.delayed.push_precise(epoch)
 
     def _work(self, horizon: int) -> list[GnssUpdate]:
         """Bring the filter to D before the span; start it if the station has stood still."""
@@ -199,6 +221,7 @@ class FusionEngine(FusionInputs):
         self.trouble = ""
         self._counts["starts"] += 1
         self._counts["corrected_surveys"] += corrected
+        self.ground.origin_enu = self.writer.enu(filter.nav)
         self.delayed = DelayedFilter(
             self.config, filter, row, history, self.timeline, self.site.lever_arm_b,
             self.sample_rate_hz, self.oscillator,
@@ -235,9 +258,12 @@ class FusionEngine(FusionInputs):
     ) -> FusionOutput:
         grid = KnotGrid.of_span(begin, end - begin, self.sample_rate_hz)
         late, delayed, predictor = " ".join(lacking), self.delayed, self.timebase.predictor
+        motion, self._gnss_motion = tuple(self._gnss_motion), []
         if delayed is None or predictor is None:
             status = FusionStatus.ALIGNING if delayed is None else FusionStatus.NO_TIME
-            return FusionOutput(self.writer.empty(end - 1), no_aiding(SOURCE, grid), status, late)
+            solution = self.writer.empty(end - 1)
+            nothing = no_aiding(SOURCE, grid)
+            return FusionOutput(solution, nothing, status, late, motion=motion)
         present = Present.of(delayed, self.history.number_at(end), self.site.monument_ecef)
         chosen = self.book.choose(begin, predictor.gps_time(begin), self.site.monument_ecef)
         first, last = (self.history.number_at(sample) + 1 for sample in (begin, end))
@@ -250,7 +276,9 @@ class FusionEngine(FusionInputs):
             aiding = self._aiding(grid, present, chosen, predictor)
         else:
             aiding = no_aiding(SOURCE, grid)
-        return FusionOutput(solution, aiding, status, late, extrapolated)
+        fused = self.ground.fused(solution, present)
+        motion += () if fused is None else (fused,)
+        return FusionOutput(solution, aiding, status, late, extrapolated, motion)
 
     def _status(
         self, present: Present, chosen: Chosen, made_up: int, extrapolated: int

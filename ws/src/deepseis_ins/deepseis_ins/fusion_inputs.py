@@ -4,22 +4,25 @@ from __future__ import annotations
 
 from bisect import bisect_right, insort
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
 from deepseis_core.imu_grades import ImuGrade
-from deepseis_core.types import Ephemeris, ImuSample, MotionState, Pvt
+from deepseis_core.types import Ephemeris, ImuSample, MotionState, PrecisePosition, Pvt
 from deepseis_ins.fusion_config import FusionConfig
 from deepseis_ins.imu_history import ImuHistory
 from deepseis_ins.motion_timeline import MotionTimeline
 from deepseis_ins.satellite_book import SatelliteBook
 
+Position = TypeVar("Position", Pvt, PrecisePosition)
+
 SPAN_S = 0.02
 """Of samples that are worked through at once: an IF block [s]."""
 
 
-def _sample_index(pvt: Pvt) -> int:
-    return pvt.sample_index
+def _sample_index(item: Pvt | PrecisePosition) -> int:
+    return item.sample_index
 
 
 class FusionInputs:
@@ -50,6 +53,7 @@ class FusionInputs:
         self.timeline = MotionTimeline(self.delay)
         self.book = SatelliteBook(config.elevation_mask_deg, sample_rate_hz)
         self._pvts: list[Pvt] = []
+        self._precise: list[PrecisePosition] = []
         self._through = dict.fromkeys(("samples", "imu", "motion", "pvt"), -1)
 
     def push_imu(self, sample: ImuSample) -> None:
@@ -64,6 +68,10 @@ class FusionInputs:
         )
         square = replace(pvt, position_covariance_ecef=position, velocity_covariance_ecef=velocity)
         insort(self._pvts, square, key=_sample_index)
+
+    def push_precise(self, position: PrecisePosition) -> None:
+        """Take a precise position, in any order."""
+        insort(self._precise, position, key=_sample_index)
 
     def push_motion(self, state: MotionState) -> None:
         """Take a decision on motion, in any order."""
@@ -86,7 +94,7 @@ class FusionInputs:
         self._valid("motion", through)
 
     def pvt_valid(self, through: int) -> None:
-        """All positions, and ephemerides, up to ``through`` have been pushed."""
+        """All positions, precise ones too, and ephemerides up to ``through`` have been pushed."""
         self._valid("pvt", through)
 
     def waiting_for(self) -> str:
@@ -103,10 +111,18 @@ class FusionInputs:
 
     def due_pvts(self, horizon: int) -> list[Pvt]:
         """Return positions up to a sample that have not been returned yet, in order."""
-        count = bisect_right(self._pvts, horizon, key=_sample_index)
-        due = self._pvts[:count]
-        del self._pvts[:count]
-        return due
+        return _taken(self._pvts, horizon)
+
+    def due_precise(self, horizon: int) -> list[PrecisePosition]:
+        """Return precise positions up to a sample that have not been returned yet, in order."""
+        return _taken(self._precise, horizon)
 
     def _valid(self, what: str, through: int) -> None:
         self._through[what] = max(self._through[what], through)
+
+
+def _taken(waiting: list[Position], horizon: int) -> list[Position]:
+    count = bisect_right(waiting, horizon, key=_sample_index)
+    due = waiting[:count]
+    del waiting[:count]
+    return due

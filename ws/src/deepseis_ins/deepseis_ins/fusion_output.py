@@ -7,12 +7,14 @@ from enum import StrEnum
 
 import numpy as np
 
+from deepseis_core.geodesy import ecef_from_geodetic
 from deepseis_core.rotation import (
     flu_from_frd,
     quat_from_matrix,
 )
 from deepseis_core.types import (
     Aiding,
+    Displacement,
     Float32Array,
     FloatArray,
     InsFilter,
@@ -26,7 +28,7 @@ from deepseis_ins.filter_steps import GnssUpdate
 from deepseis_ins.fusion_kernels import orientation_kernel
 from deepseis_ins.fusion_present import Present
 from deepseis_ins.fusion_time import Timebase
-from deepseis_ins.strapdown import Trajectory
+from deepseis_ins.strapdown import NavState, Trajectory
 
 CHILD_FRAME = "imu_link"
 VECTORS = {
@@ -70,6 +72,8 @@ class FusionOutput:
         What was not waited for: imu, motion, pvt, with blanks between; empty if nothing.
     extrapolated : int
         IMU samples made up because they were late.
+    motion : tuple of Displacement
+        Ground motion: of precise positions that count from this span on, and fused.
     """
 
     solution: InsSolution
@@ -77,6 +81,7 @@ class FusionOutput:
     status: FusionStatus
     late: str = ""
     extrapolated: int = 0
+    motion: tuple[Displacement, ...] = ()
 
 
 class SolutionWriter:
@@ -98,6 +103,11 @@ class SolutionWriter:
         self.monument_ecef, self.C_enu_e = monument_ecef, C_enu_e
         self.interpolator = interpolator
         self._quat_enu_e = quat_from_matrix(C_enu_e)
+
+    def enu(self, nav: NavState) -> FloatArray:
+        """Return where a state is, from the monument, shape (3,) [m]."""
+        place = ecef_from_geodetic([nav.latitude, nav.longitude, nav.height])
+        return self.C_enu_e @ (place - self.monument_ecef)
 
     def empty(self, valid_through: int) -> InsSolution:
         """Return a solution without epochs."""

@@ -32,6 +32,8 @@ class Present:
         Forward-right-down [rad/s, m/s^2].
     covariance : ndarray, shape (15, 15)
         The filter's, and what IMU data that are missing since add.
+    moved_covariance : ndarray, shape (3, 3)
+        Of the displacement from where the station was surveyed to stand, NED [m^2].
     lever_rate_variance : float
         Of the velocity that white noise of the gyroscopes gives to the antenna [m^2/s^2].
     """
@@ -42,6 +44,7 @@ class Present:
     gyro_bias: FloatArray
     accel_bias: FloatArray
     covariance: FloatArray
+    moved_covariance: FloatArray
     lever_rate_variance: float
 
     @classmethod
@@ -68,12 +71,12 @@ class Present:
             trajectory.geodetic, trajectory.vel_n, trajectory.quat_nb, gained,
         )  # fmt: skip
         nodes = Nodes.of(history.indices(begin, end), trajectory, delayed.lever_arm_b, origin)
-        covariance = delayed.covariance()
+        covariance, moved = delayed.covariances()
         walk2, _ = history.unknown(begin + 1, end)
         covariance[VEL, VEL] += walk2 * np.eye(3)
         turn2 = filter.grade.gyros.walk**2 / history.dt
         swing2 = turn2 * float(delayed.lever_arm_b @ delayed.lever_arm_b)
-        return cls(trajectory, nodes, gained, bias[:3], bias[3:], covariance, swing2)
+        return cls(trajectory, nodes, gained, bias[:3], bias[3:], covariance, moved, swing2)
 
     def velocity_sd(self) -> float:
         """Return the largest sigma of velocity [m/s]."""

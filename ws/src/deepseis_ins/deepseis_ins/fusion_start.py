@@ -80,6 +80,11 @@ class Site:
             ned_frd_from_enu_flu(matrix_from_quat(quat / norm)) if norm else None,
         )
 
+    @property
+    def antenna_ecef(self) -> FloatArray:
+        """Where the antenna is while nothing has moved [m]."""
+        return ecef_from_enu(self.antenna_enu, self.monument_ecef)
+
     def imu_geodetic(self, C_nb: FloatArray) -> FloatArray:
         """Return where the IMU is while nothing has moved [rad, rad, m]."""
         lever_enu = enu_flu_from_ned_frd(C_nb) @ flu_from_frd(self.lever_arm_b)
@@ -132,7 +137,8 @@ def start_filter(
         grade,
         nav,
         attitude_sd=alignment.covariance,
-        position_sd=[config.monument_sd] * 3,
+        # From the monument; how well that is known stands beside the filter (`delayed_filter`).
+        position_sd=[config.still_position_sd] * 3,
         velocity_sd=[config.still_velocity_sd] * 3,
         gyro_bias=bias.value,
         gyro_bias_sd=bias.sd,

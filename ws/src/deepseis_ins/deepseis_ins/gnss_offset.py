@@ -5,11 +5,18 @@ atmosphere. A station that stands still knows where it is, sees that error and t
 it moves. What is left then is noise and what the error has changed since. That change is the
 same for many epochs: a filter that takes errors as independent is told a variance so much larger
 (`inflation`) that it gives a second of data no more weight than they have.
+
+Positions from carrier phases are off by millimetres that creep. The filter is told their noise
+alone and follows them; how far they have crept since they were last compared with a known place
+adds to what it says of its own position (`GnssOffsets.crept`). Taken as noise it would cost the
+velocity what it cannot harm: no accelerometer sees a millimetre in a minute.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -21,6 +28,10 @@ UNKNOWN_SD = 10.0
 
 _GATE = 40.0
 """Of the normalised square of three values: 1e-8 of good ones exceed it."""
+_NOISES = 500
+"""Values in the mean that tells the noise of precise positions."""
+_LEAST, _MOST = 0.02, 9.0
+"""Of their noise's variance as a part of the formal one."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +65,8 @@ class SlowError:
     covariance: FloatArray
     mean: FloatArray
     seconds: float | None = None
+    noises: int = 0
+    """Values that the noise's share has been told from; 0: it stays as it is."""
 
     def learn(
         self, seconds: float, value: FloatArray, known: FloatArray, formal: FloatArray, dt: float
@@ -73,24 +86,44 @@ class SlowError:
         dt : float
             Time between measurements [s].
         """
-        P = self._covariance_at(seconds)
+        P = self.covariance_at(seconds)
         R = self._noise(formal, dt)
         innovation = value - known - self.mean
         if innovation @ np.linalg.solve(P + R + formal, innovation) > _GATE:
             return self
         gain = P @ np.linalg.inv(P + R)
         mean = self.mean + gain @ innovation
+        told = self._told(innovation, P, formal, dt) if self.noises else self
         P = P - gain @ P
-        return replace(self, mean=mean, covariance=0.5 * (P + P.T), seconds=seconds)
+        return replace(told, mean=mean, covariance=0.5 * (P + P.T), seconds=seconds)
+
+    def _told(
+        self, innovation: FloatArray, P: FloatArray, formal: FloatArray, dt: float
+    ) -> SlowError:
+        """Return the same with a share of noise that agrees better with an innovation."""
+        share2 = (innovation**2 - np.diag(P)).sum() / np.diag(formal).sum()
+        count = min(self.noises + 1, _NOISES)
+        mean = self.noise_share**2 + (share2 - self.noise_share**2) / count
+        share = float(np.sqrt(min(max(mean, _LEAST), _MOST)))
+        return replace(self, noise_share=share, noises=count)
 
     def correct(
         self, seconds: float, value: FloatArray, formal: FloatArray, dt: float
     ) -> Correction:
         """Take the slow error off a measurement of something unknown; see `learn`."""
-        common = inflation(self.common_s, dt) * self._covariance_at(seconds)
+        common = inflation(self.common_s, dt) * self.covariance_at(seconds)
         return Correction(value - self.mean, self._noise(formal, dt) + common)
 
-    def _covariance_at(self, seconds: float) -> FloatArray:
+    def take_off(self, value: FloatArray, formal: FloatArray, dt: float) -> Correction:
+        """Take the slow error off, and leave what is unknown of it to `GnssOffsets.crept`."""
+        return Correction(value - self.mean, self._noise(formal, dt))
+
+    def refer(self, seconds: float, off: FloatArray, covariance: FloatArray) -> SlowError:
+        """Return what is known after a jump: off by so much more, as uncertain as said."""
+        return replace(self, mean=self.mean + off, covariance=covariance, seconds=seconds)
+
+    def covariance_at(self, seconds: float) -> FloatArray:
+        """Return the covariance of the slow error at a time."""
         elapsed = 0.0 if self.seconds is None else max(seconds - self.seconds, 0.0)
         return self.covariance + self.growth**2 * elapsed * np.eye(3)
 
@@ -136,3 +169,69 @@ def velocity_error(config: FusionConfig) -> SlowError:
         config.velocity_offset_sd**2 * np.eye(3),
         np.zeros(3),
     )
+
+
+def precise_error(config: FusionConfig) -> SlowError:
+    """Return what is known of the slow error of precise positions at the start."""
+    return SlowError(
+        config.precise_noise_share,
+        config.precise_correlation_s,
+        config.precise_growth,
+        config.offset_correlation_s,
+        config.precise_offset_sd**2 * np.eye(3),
+        np.zeros(3),
+        noises=round(_NOISES / 10),
+    )
+
+
+def _nothing() -> Mapping[str, SlowError]:
+    return MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class GnssOffsets:
+    """All slow errors, and which precise positions the filter follows.
+
+    Attributes
+    ----------
+    position, velocity : SlowError
+        Of PVT.
+    precise : mapping of str to SlowError
+        Of precise positions, by their kind.
+    kind : str
+        Of the precise position last used since the station moved; empty: none.
+    used_at : int
+        Its sample index.
+    rejected : int
+        Precise positions refused since.
+    off : ndarray, shape (3,)
+        Sum of what these were off by, ECEF [m].
+    """
+
+    position: SlowError
+    velocity: SlowError
+    precise: Mapping[str, SlowError] = field(default_factory=_nothing)
+    kind: str = ""
+    used_at: int = -1
+    rejected: int = 0
+    off: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+    @classmethod
+    def at_start(cls, config: FusionConfig) -> GnssOffsets:
+        """Return what is known before anything has been measured."""
+        return cls(position_error(config), velocity_error(config))
+
+    def with_precise(self, kind: str, error: SlowError, **changes: object) -> GnssOffsets:
+        """Return the same with another slow error of a kind of precise positions."""
+        precise = MappingProxyType({**self.precise, kind: error})
+        return replace(self, precise=precise, **changes)  # type: ignore[arg-type]
+
+    def followed_none(self) -> GnssOffsets:
+        """Return the same with no precise position followed."""
+        return replace(self, kind="", used_at=-1, rejected=0, off=np.zeros(3))
+
+    def crept(self, seconds: float) -> FloatArray:
+        """Return the covariance, ECEF, by which what the filter follows may have crept."""
+        if not self.kind:
+            return np.zeros((3, 3))
+        return self.precise[self.kind].covariance_at(seconds)

@@ -279,7 +279,7 @@ class LooseFilter:
             raise InputError(f"measurement {m.name}", "has a covariance that is no covariance")
         accepted, sd = bool(squared <= self._limit), np.sqrt(np.diag(S))
         rejected = 0 if accepted else self._rejected.get(m.name, 0) + 1
-        recovered = rejected >= self.config.rejections_before_recovery
+        recovered = m.recovers and rejected >= self.config.rejections_before_recovery
         self._rejected[m.name] = 0 if recovered else rejected
         if recovered:
             diagonal = np.arange(STATES)[m.states]

@@ -43,6 +43,8 @@ class Measurement:
         The states it measures; they are widened when the gate has to be opened.
     D : ndarray, shape (3, 3)
         Sensitivity to the error of the reference attitude.
+    recovers : bool
+        Whether many of its kind that are refused prove the filter wrong.
     """
 
     z: FloatArray
@@ -51,6 +53,7 @@ class Measurement:
     name: str
     states: slice
     D: FloatArray = field(default_factory=_no_reference)
+    recovers: bool = True
 
 
 def gnss_position(

@@ -2,9 +2,16 @@
 
 An oscillator on the moving body runs fast by ``y = y_0 + Gamma . (f - f_0)``, f being the
 specific force in body axes and f_0 that at rest: at 1e-9/g and 2 g, 1 Hz, the phase of all
-satellites swings by half a cycle. The drift of PVT shows c y. A Kalman filter of four states, the
-drift at rest (a random walk) and c Gamma, takes both apart as soon as the body shakes; Gamma then
-predicts the Doppler that all satellites have in common, ``-f1 Gamma . (f - f_0)``.
+satellites swings by half a cycle. A Kalman filter of five states, the clock b, its drift at rest d
+(a random walk) and c Gamma, takes that apart as soon as the body shakes::
+
+    b(t) = b(s) + d (t - s) + c Gamma . (integral of f - f_0 from s to t)
+
+The clock comes with precise positions: its change is known to millimetres at 50 Hz, so that a
+tenth of the first half cycle tells Gamma. Without them the drift of PVT is used, which is
+``d + c Gamma . (f - f_0)`` with 0.1 m/s of noise: that takes seconds of shaking. Who knows Gamma
+before the first earthquake (each axis turned over in gravity, or an earlier event) gives it as a
+setting. It predicts the Doppler that all satellites have in common, ``-f1 Gamma . (f - f_0)``.
 """
 
 from __future__ import annotations
@@ -14,21 +21,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deepseis_core.constants import L1_WAVELENGTH, SPEED_OF_LIGHT
+from deepseis_core.errors import InputError
 from deepseis_core.imu_grades import STANDARD_GRAVITY
-from deepseis_core.types import FloatArray, Pvt
+from deepseis_core.rotation import flu_from_frd
+from deepseis_core.types import FloatArray
 from deepseis_ins.antenna_motion import polynomial_weights
 from deepseis_ins.fusion_config import FusionConfig
+from deepseis_ins.gnss_epochs import Epoch, PreciseEpoch
 from deepseis_ins.imu_history import ImuHistory
 
-_FIRST_SD = 1e4
-"""Of a drift that is not known yet [m/s]."""
+PER_G = SPEED_OF_LIGHT / STANDARD_GRAVITY
+"""From sensitivity [1/g] to c Gamma [m/s per m/s^2]."""
+_FIRST = np.array([1e8, 1e4])
+"""Sigma of a clock and a drift that are not known yet [m, m/s]."""
 _GATE = 6.0
 _POINTS = 4
-"""IMU epochs in the polynomial that gives the force at an epoch of PVT."""
+"""IMU epochs in the polynomial that gives forces at an epoch of GNSS."""
 _AROUND = 4
 """Rows of IMU data on each side of it."""
 _RESTS = 100
 """Epochs in the mean of the force at rest."""
+_GAP_S = 2.0
+"""Between epochs: after a longer time the clock is not carried on [s]."""
 
 
 @dataclass(frozen=True)
@@ -37,31 +51,35 @@ class OscillatorState:
 
     Attributes
     ----------
-    x : ndarray, shape (4,)
-        Drift at rest [m/s], c Gamma [m/s per m/s^2].
-    P : ndarray, shape (4, 4)
+    x : ndarray, shape (5,)
+        Clock [m], drift at rest [m/s], c Gamma [m/s per m/s^2].
+    P : ndarray, shape (5, 5)
         Its covariance.
     rest : ndarray, shape (3,) or None
         Specific force at rest [m/s^2]; None before the body has been seen still.
     rests : int
         How many went into it.
-    seconds : float or None
-        Time of the last drift [s].
+    sample_index : int
+        Of the last epoch; -1: none.
+    clock_at : int
+        Of the last clock of a precise position; -1: none.
     """
 
     x: FloatArray
     P: FloatArray
     rest: FloatArray | None = None
     rests: int = 0
-    seconds: float | None = None
+    sample_index: int = -1
+    clock_at: int = -1
 
 
 class OscillatorTerms:
-    """Estimates drift and g-sensitivity from drifts of PVT.
+    """Estimates clock, drift and g-sensitivity from what GNSS says of the clock.
 
     Parameters
     ----------
     config : FusionConfig
+    sample_rate_hz : float
 
     Attributes
     ----------
@@ -69,35 +87,75 @@ class OscillatorTerms:
         Assign an earlier one to undo what came after it.
     """
 
-    def __init__(self, config: FusionConfig) -> None:
-        self.config = config
-        sd = config.oscillator_sensitivity_sd * SPEED_OF_LIGHT / STANDARD_GRAVITY
-        self.state = OscillatorState(np.zeros(4), np.diag([_FIRST_SD**2, *[sd**2] * 3]))
+    def __init__(self, config: FusionConfig, sample_rate_hz: float) -> None:
+        given = np.asarray(config.oscillator_sensitivity or [0.0] * 3, np.float64)
+        if given.shape != (3,) or not (np.abs(given) < 1e-6).all():
+            raise InputError("oscillator_sensitivity", f"is {given}", "three numbers [1/g], FLU")
+        self.config, self.sample_rate_hz = config, sample_rate_hz
+        sd = np.array([*_FIRST, *[config.oscillator_sensitivity_sd * PER_G] * 3])
+        x = np.concatenate([np.zeros(2), flu_from_frd(given) * PER_G])
+        self.state = OscillatorState(x, np.diag(sd**2))
 
     @property
     def sensitivity(self) -> FloatArray:
         """Gamma [1/g], shape (3,), in the axes of the forces given."""
-        return self.state.x[1:] * (STANDARD_GRAVITY / SPEED_OF_LIGHT)
+        return self.state.x[2:] / PER_G
 
     @property
     def sensitivity_sd(self) -> FloatArray:
         """One sigma of it [1/g], shape (3,)."""
-        return np.sqrt(np.diag(self.state.P)[1:]) * (STANDARD_GRAVITY / SPEED_OF_LIGHT)
+        return np.sqrt(np.diag(self.state.P)[2:]) / PER_G
 
-    def take(self, pvt: Pvt, history: ImuHistory, sample_rate_hz: float, *, still: bool) -> bool:
-        """Take the drift of a PVT, and the force from the IMU data around it; see `update`."""
-        row = history.number_at(pvt.sample_index)
+    def take(self, epoch: Epoch, history: ImuHistory, *, still: bool) -> bool:
+        """Take what an epoch of GNSS says of the clock, and the IMU data around and before it.
+
+        Returns
+        -------
+        bool
+            Whether it was used: it is a number, and agrees with what is known.
+        """
+        row = history.number_at(epoch.sample_index)
         begin, end = row - _AROUND, row + _AROUND + 1
         if begin < history.first or end > history.end:
             return False
-        gained = np.cumsum(history.increments(begin, end)[1], axis=0)
-        time = (history.indices(begin, end) - pvt.sample_index) / sample_rate_hz
+        force, gained = self._forces(epoch.sample_index, history, still=still)
         if still:
-            force = (gained[-1] - gained[0]) / (time[-1] - time[0])
             self.rest_at(force)
-        else:
-            force = (polynomial_weights(time, np.zeros(1), _POINTS)[1] @ gained)[0]
-        return self.update(pvt.sample_index / sample_rate_hz, pvt.clock_drift, force)
+        if self.state.rest is None:
+            return False
+        self.carry(epoch.sample_index, gained)
+        if isinstance(epoch, PreciseEpoch):
+            return self.clock(epoch.clock_bias, epoch.clock_bias_sd)
+        hold = round(self.config.precise_hold_s * self.sample_rate_hz)
+        if 0 <= epoch.sample_index - self.state.clock_at <= hold and self.state.clock_at >= 0:
+            return False
+        return self.drift(epoch.clock_drift, force)
+
+    def _forces(
+        self, sample_index: int, history: ImuHistory, *, still: bool
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """Return the specific force at a sample, and its integral since the last epoch.
+
+        The latter [m/s] is None where it is not known.
+        """
+        before, row = self.state.sample_index, history.number_at(sample_index)
+        first = row - _AROUND
+        near = 0 <= before <= sample_index < before + _GAP_S * self.sample_rate_hz
+        if near:
+            first = min(first, history.number_at(before) - _AROUND)
+        if first < history.first:
+            near, first = False, row - _AROUND
+        rows = first, row + _AROUND + 1
+        gained = np.cumsum(history.increments(*rows)[1], axis=0)
+        time = (history.indices(*rows) - sample_index) / self.sample_rate_hz
+        knots = np.array([0.0, (before - sample_index) / self.sample_rate_hz if near else 0.0])
+        value, rate, _ = polynomial_weights(time, knots, _POINTS)
+        integral = (value[0] - value[1]) @ gained if near else None
+        if still:
+            last = slice(-2 * _AROUND - 1, None)
+            sums, times = gained[last], time[last]
+            return (sums[-1] - sums[0]) / (times[-1] - times[0]), integral
+        return rate[0] @ gained, integral
 
     def rest_at(self, force_b: FloatArray) -> None:
         """Take a specific force at rest [m/s^2]: the mean of many counts."""
@@ -106,42 +164,61 @@ class OscillatorTerms:
         rest = rest + (force_b - rest) / rests
         self.state = replace(self.state, rest=rest, rests=rests)
 
-    def update(self, seconds: float, drift: float, force_b: FloatArray) -> bool:
-        """Take one drift.
+    def carry(self, sample_index: int, gained_b: FloatArray | None) -> None:
+        """Carry the state to a sample over the integral of the specific force since [m/s].
 
-        Parameters
-        ----------
-        seconds : float
-            Time; not before that of the last one [s].
-        drift : float
-            Of the receiver's clock times c [m/s].
-        force_b : ndarray, shape (3,)
-            Specific force then [m/s^2].
-
-        Returns
-        -------
-        bool
-            Whether it was used: it is a number, and agrees with what is known.
+        Without it the clock is not known any more.
         """
-        state = self.state
-        if state.rest is None or not np.isfinite(drift):
+        state, config = self.state, self.config
+        assert state.rest is not None
+        since = state.sample_index if state.sample_index >= 0 else sample_index
+        dt = (sample_index - since) / self.sample_rate_hz
+        F = np.eye(5)
+        F[0, 1] = dt
+        P, walk2 = state.P.copy(), config.oscillator_walk**2
+        if gained_b is None:
+            P[0, :], P[:, 0] = 0.0, 0.0
+            P[0, 0] = _FIRST[0] ** 2
+        else:
+            F[0, 2:] = gained_b - state.rest * dt
+        P = F @ P @ F.T
+        P[0, 0] += config.oscillator_phase_walk**2 * dt + walk2 * dt**3 / 3.0
+        P[0, 1] += walk2 * dt**2 / 2.0
+        P[1, 0] = P[0, 1]
+        P[1, 1] += walk2 * dt
+        self.state = replace(state, x=F @ state.x, P=P, sample_index=sample_index)
+
+    def clock(self, clock_bias: float, sd: float) -> bool:
+        """Take the clock of a precise position at the time carried to [m]."""
+        if not (np.isfinite(clock_bias) and sd > 0.0 and np.isfinite(sd)):
             return False
-        elapsed = 0.0 if state.seconds is None else seconds - state.seconds
-        P = state.P.copy()
-        P[0, 0] += self.config.oscillator_walk**2 * elapsed
-        h = np.concatenate([[1.0], force_b - state.rest])
-        innovation = drift - h @ state.x
-        noise = self.config.drift_noise**2
+        self.state = replace(self.state, clock_at=self.state.sample_index)
+        return self._update(clock_bias, np.array([1.0, 0.0, 0.0, 0.0, 0.0]), sd)
+
+    def drift(self, drift: float, force_b: FloatArray) -> bool:
+        """Take a drift of PVT [m/s] and the specific force at the time carried to [m/s^2]."""
+        if not np.isfinite(drift):
+            return False
+        assert self.state.rest is not None
+        h = np.concatenate([[0.0, 1.0], force_b - self.state.rest])
+        return self._update(drift, h, self.config.drift_noise)
+
+    def _update(self, value: float, h: FloatArray, sd: float) -> bool:
+        state, noise = self.state, sd**2
+        P = state.P
+        innovation = value - h @ state.x
         variance = h @ P @ h + noise
         if innovation**2 > _GATE**2 * variance:
-            # A jump of the oscillator, or a bad fix: what it feels does not change by that.
-            P[0, 0] += innovation**2
-            self.state = replace(state, P=P, seconds=seconds)
+            # A jump of clock or oscillator, or a bad fix: what it feels does not change by that.
+            jumped = int(np.argmax(h != 0.0))
+            widened = P.copy()
+            widened[jumped, jumped] += innovation**2
+            self.state = replace(state, P=widened)
             return False
         gain = P @ h / variance
-        kept = np.eye(4) - np.outer(gain, h)
+        kept = np.eye(5) - np.outer(gain, h)
         P = kept @ P @ kept.T + np.outer(gain, gain) * noise
-        self.state = replace(state, x=state.x + gain * innovation, P=P, seconds=seconds)
+        self.state = replace(state, x=state.x + gain * innovation, P=P)
         return True
 
     def doppler(self, weights: FloatArray, gained_b: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -158,6 +235,6 @@ class OscillatorTerms:
         """
         if self.state.rest is None:
             return np.zeros(weights.shape[1]), np.zeros(weights.shape[1])
-        hz_per_force = self.state.x[1:] / -L1_WAVELENGTH
+        hz_per_force = self.state.x[2:] / -L1_WAVELENGTH
         force, rate = weights[1] @ gained_b, weights[2] @ gained_b
         return (force - self.state.rest) @ hz_per_force, rate @ hz_per_force

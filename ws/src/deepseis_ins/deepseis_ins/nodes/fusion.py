@@ -28,8 +28,9 @@ from deepseis_core.types import Ephemeris, MotionState, Pvt, Station
 from deepseis_ins.fusion_config import FusionConfig
 from deepseis_ins.fusion_engine import FusionEngine
 from deepseis_ins.fusion_output import FusionOutput, FusionStatus
+from deepseis_ins.ground_motion import displacement_utc_ns
 from deepseis_ins.loose import LooseConfig
-from deepseis_msgs.msg import DopplerAiding, InsSolution, Watermark
+from deepseis_msgs.msg import Displacement, DopplerAiding, InsSolution, Watermark
 
 FOLLOWED = ("if_source", "imu_source", "motion_state", "pvt")
 LEVELS = {FusionStatus.RUNNING: diagnostics.OK, FusionStatus.IMU_LOST: diagnostics.ERROR}
@@ -57,7 +58,10 @@ class NodeConfig:
 
 
 class FusionNode(Node):
-    """In: imu/data_raw, motion/state, gnss/pvt, gnss/ephemeris. Out: aiding/doppler, ins/*."""
+    """In: imu/data_raw, motion/state, gnss/pvt, gnss/ephemeris.
+
+    Out: aiding/doppler, ins/solution, ins/odometry, seismo/displacement.
+    """
 
     def __init__(self, process: Process) -> None:
         super().__init__("fusion")
@@ -80,6 +84,7 @@ class FusionNode(Node):
         self.aiding = publish_on("aiding/doppler", DopplerAiding, qos.STREAM)
         self.solution = publish_on("ins/solution", InsSolution, qos.STREAM)
         self.odometry = publish_on("ins/odometry", Odometry, qos.STREAM)
+        self.motion = publish_on("seismo/displacement", Displacement, qos.STREAM)
         self.diagnostics = publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
         self.inputs = {name: CountedInput() for name in FOLLOWED}
         self.orbits = CountedInput()
@@ -175,6 +180,9 @@ class FusionNode(Node):
             self.solution.publish(codecs.INS_SOLUTION.encode(solution, utc_ns, "map"))
             utc_ns = self.clock.utc_ns(int(solution.sample_index[-1]))
             self.odometry.publish(encode_message(odometry_from_solution(solution, utc_ns)))
+        for motion in output.motion:
+            utc_ns = displacement_utc_ns(motion)
+            self.motion.publish(codecs.DISPLACEMENT.encode(motion, utc_ns, "map"))
         self.report(output, through)
         self.flow.send(through, through, utc_ns=self.clock.utc_ns(through))
 

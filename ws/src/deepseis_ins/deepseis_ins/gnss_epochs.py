@@ -1,0 +1,82 @@
+"""Epochs of GNSS as the filter takes them: positions of PVT, precise ones in its axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepseis_core.types import FloatArray, PrecisePosition, PreciseStatus, Pvt, PvtStatus
+
+
+@dataclass(frozen=True)
+class PreciseEpoch:
+    """A precise position in the axes of the filter's measurements.
+
+    Attributes
+    ----------
+    sample_index : int
+    kind : str
+        Method and status: what has a slow error of its own.
+    position_ecef, covariance_ecef : ndarray, shapes (3,), (3, 3)
+        [m, m^2]
+    clock_bias, clock_bias_sd : float
+        Receiver clock times c, and sigma of its change [m].
+    """
+
+    sample_index: int
+    kind: str
+    position_ecef: FloatArray
+    covariance_ecef: FloatArray
+    clock_bias: float
+    clock_bias_sd: float
+
+    @classmethod
+    def of(
+        cls, value: PrecisePosition, antenna_ecef: FloatArray, C_enu_e: FloatArray
+    ) -> PreciseEpoch | None:
+        """Turn a message's value; None where it does not say where the antenna is.
+
+        Parameters
+        ----------
+        value : PrecisePosition
+        antenna_ecef : ndarray, shape (3,)
+            Where the antenna was surveyed [m].
+        C_enu_e : ndarray, shape (3, 3)
+            Axes there.
+        """
+        covariance_enu = np.reshape(value.covariance_enu, (3, 3))
+        if value.status < PreciseStatus.PHASE:
+            return None
+        if not is_measured(value.displacement_enu, covariance_enu):
+            return None
+        return cls(
+            value.sample_index,
+            f"{value.method} {int(value.status)}",
+            antenna_ecef + value.displacement_enu @ C_enu_e,
+            C_enu_e.T @ covariance_enu @ C_enu_e,
+            value.clock_bias,
+            value.clock_bias_sd,
+        )
+
+
+Epoch = Pvt | PreciseEpoch
+
+
+def has_position(pvt: Pvt) -> bool:
+    """Return whether there is a position with a covariance."""
+    return pvt.status != PvtStatus.NONE and is_measured(
+        pvt.position_ecef, pvt.position_covariance_ecef
+    )
+
+
+def has_velocity(pvt: Pvt) -> bool:
+    """Return whether there is a velocity with a covariance."""
+    return is_measured(pvt.velocity_ecef, pvt.velocity_covariance_ecef)
+
+
+def is_measured(value: FloatArray, covariance: FloatArray) -> bool:
+    """Return whether a value is finite and its covariance positive definite."""
+    if not (np.isfinite(value).all() and np.isfinite(covariance).all()):
+        return False
+    return bool(np.linalg.eigvalsh(covariance)[0] > 0.0)

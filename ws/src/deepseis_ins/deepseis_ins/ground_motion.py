@@ -1,0 +1,123 @@
+"""Ground motion on topics: of the fused solution at IMU epochs, and of precise positions alone.
+
+Displacements are from where the station was surveyed to stand, in the axes at the monument. That
+of the fused solution is the IMU's, which stands on the ground; that of precise positions is the
+antenna's. They differ by what the lever arm between them turns. What a survey is off by moves
+neither, and does not count in their sigmas.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepseis_core.gps_time import GpsTime
+from deepseis_core.imu_grades import STANDARD_GRAVITY, ImuGrade
+from deepseis_core.types import (
+    Displacement,
+    DisplacementSource,
+    Float32Array,
+    FloatArray,
+    InsSolution,
+    PrecisePosition,
+)
+from deepseis_ins.antenna_motion import KnotInterpolator
+from deepseis_ins.error_state import ACCEL, ATT, VEL
+from deepseis_ins.fusion_present import Present
+from deepseis_ins.measurement_kernels import matrix_of
+
+_TO_ENU = [1, 0, 2]
+"""East, north and up (but for its sign) of north, east, down."""
+_GRAVITY_CROSS = np.array(
+    [[0.0, STANDARD_GRAVITY, 0.0], [-STANDARD_GRAVITY, 0.0, 0.0], [0.0, 0.0, 0.0]]
+)
+"""``[f x]`` of the specific force at rest, north, east, down [m/s^2]."""
+
+
+class GroundMotion:
+    """Turns solutions into displacements.
+
+    Parameters
+    ----------
+    grade : ImuGrade
+        For the noise of accelerations.
+    interval : float
+        Of the IMU [s].
+    interpolator : KnotInterpolator
+        That which the solution's accelerations are from.
+
+    Attributes
+    ----------
+    origin_enu : ndarray, shape (3,)
+        Where the IMU was surveyed to stand, from the monument [m].
+    """
+
+    def __init__(self, grade: ImuGrade, interval: float, interpolator: KnotInterpolator) -> None:
+        self.grade, self.interval, self.interpolator = grade, interval, interpolator
+        self.origin_enu: FloatArray = np.zeros(3)
+
+    def fused(self, solution: InsSolution, present: Present) -> Displacement | None:
+        """Return the motion at a solution's epochs; None if there are none."""
+        n = len(solution.sample_index)
+        if not n:
+            return None
+        P = present.covariance
+        position = _sd(present.moved_covariance)
+        velocity = _sd(P[VEL, VEL])
+        return Displacement(
+            source=int(DisplacementSource.FUSED),
+            smoothed=False,
+            valid_through=solution.valid_through,
+            interval=self.interval,
+            tow_ns=solution.tow_ns,
+            week=solution.week,
+            displacement=solution.position_enu - self.origin_enu,
+            velocity=solution.velocity_enu,
+            acceleration=solution.acceleration_enu,
+            displacement_sd=np.repeat(position[None], n, axis=0),
+            velocity_sd=np.repeat(velocity[None], n, axis=0),
+            acceleration_sd=self._acceleration_sd(solution, present),
+        )
+
+    def _acceleration_sd(self, solution: InsSolution, present: Present) -> Float32Array:
+        """Return one sigma of accelerations: of tilt and bias, and the accelerometers' noise."""
+        C_nb = matrix_of(present.trajectory.quat_nb[-1])
+        H = np.hstack([_GRAVITY_CROSS, C_nb])
+        chosen = np.r_[ATT, ACCEL]
+        slow = (H @ present.covariance[np.ix_(chosen, chosen)] * H).sum(axis=1)
+        index, points = present.nodes.sample_index, self.interpolator.lever_points
+        rate = self.interpolator.weights(index, solution.sample_index, points)[1]
+        # Velocities are sums of increments: each has the weight of all velocities after it.
+        of_increments = np.cumsum(rate[:, ::-1], axis=1)[:, -2::-1]
+        walk2 = self.grade.accelerometers.walk**2 * self.interval
+        white = walk2 * (of_increments**2).sum(axis=1)
+        return np.sqrt(slow[_TO_ENU] + white[:, None]).astype(np.float32)
+
+
+def of_precise(position: PrecisePosition, valid_through: int, interval: float) -> Displacement:
+    """Return the motion that one precise position shows; it knows no velocity."""
+    unknown = np.full((1, 3), np.nan)
+    covariance = np.reshape(position.covariance_enu, (3, 3))
+    return Displacement(
+        source=int(DisplacementSource.GNSS),
+        smoothed=False,
+        valid_through=valid_through,
+        interval=interval,
+        tow_ns=np.array([position.tow_ns], np.int64),
+        week=position.week,
+        displacement=np.reshape(position.displacement_enu, (1, 3)),
+        velocity=unknown,
+        acceleration=unknown,
+        displacement_sd=np.sqrt(np.diag(covariance))[None].astype(np.float32),
+        velocity_sd=unknown.astype(np.float32),
+        acceleration_sd=unknown.astype(np.float32),
+    )
+
+
+def displacement_utc_ns(motion: Displacement) -> int:
+    """Return the UTC of the first epoch [ns]: what its message is stamped with."""
+    return GpsTime(motion.week, int(motion.tow_ns[0])).to_utc_ns()
+
+
+def _sd(covariance_n: FloatArray) -> Float32Array:
+    """Return sigmas east, north, up of a covariance north, east, down."""
+    return np.sqrt(np.diag(covariance_n)[_TO_ENU]).astype(np.float32)
