@@ -29,7 +29,7 @@ RELATIONS: Final[dict[str, Callable[[float, float], bool]]] = {
 
 @dataclass(frozen=True)
 class Goal:
-    """What a value must be: ``<= 1.1``, ``>= 40``, or within a share of a value.
+    """What a value must be: ``<= 1.1``, ``>= 40``, within a share of a value, or near it.
 
     Examples
     --------
@@ -37,11 +37,14 @@ class Goal:
     (True, False)
     >>> str(Goal.within(0.15, 29.0))
     '29 +-15 %'
+    >>> str(Goal.near(37.74, 0.05))
+    '37.74 +-0.05'
     """
 
     relation: str
     value: float
     share: float = 0.0
+    tolerance: float = 0.0
 
     @classmethod
     def at_most(cls, value: float) -> Goal:
@@ -58,16 +61,25 @@ class Goal:
         """Return a value to be met within a share of it."""
         return cls("~", value, share)
 
+    @classmethod
+    def near(cls, value: float, tolerance: float) -> Goal:
+        """Return a value to be met within a tolerance of the same unit."""
+        return cls("+-", value, tolerance=tolerance)
+
     def met(self, ours: float) -> bool:
         """Tell whether a value meets the goal; not a number does not."""
         if self.relation == "~":
             return bool(abs(ours - self.value) <= self.share * abs(self.value))
+        if self.relation == "+-":
+            return bool(abs(ours - self.value) <= self.tolerance)
         return bool(RELATIONS[self.relation](ours, self.value))
 
     def __str__(self) -> str:
         """Return the goal as a reader writes it."""
         if self.relation == "~":
             return f"{self.value:g} +-{100 * self.share:g} %"
+        if self.relation == "+-":
+            return f"{self.value:g} +-{self.tolerance:g}"
         return f"{self.relation} {self.value:g}"
 
 

@@ -11,8 +11,11 @@ from deepseis_bringup.loop_measures import CarrierTruth, phase_errors
 from deepseis_bringup.report_plot import (
     PALETTE,
     Figure,
+    Panel,
     Row,
+    axis,
     envelope,
+    line,
     moment,
     nice_span,
     rows_panel,
@@ -41,7 +44,7 @@ def discriminator_figure(
         end = max(end, float(t.max(initial=0.0)))
     span = min(95.0, nice_span([np.median(peaks) * 1.3]))
     panel = rows_panel(rows, end, span, "deg")
-    _mark(panel.layout, moving)
+    mark(panel.layout, moving)
     caption = (
         f"What the carrier loop of {satellite} sees of its own error [deg]; rows span "
         f"{span:g} deg either way, at the right the RMS while it moves."
@@ -74,7 +77,7 @@ def error_figure(
     finite = [value for value in peaks if np.isfinite(value)]
     span = nice_span([5.0 * min(finite)]) if finite else 10.0
     panel = rows_panel(rows, end, span, "deg")
-    _mark(panel.layout, moving)
+    mark(panel.layout, moving)
     caption = (
         f"NCO phase of {name} less the truth [deg], the part common to all satellites included; "
         f"rows span {span:g} deg either way, a gap is lost phase lock."
@@ -92,8 +95,58 @@ def _of_motion(
     return float(np.sqrt(np.mean(chosen**2))), float(np.abs(chosen).max())
 
 
-def _mark(layout: dict[str, Any], moving: tuple[float, float]) -> None:
+def mark(layout: dict[str, Any], moving: tuple[float, float]) -> None:
     """Mark the beginning and end of the motion."""
     for when, text in zip(moving, ("moving", "end"), strict=True):
         for key, values in moment(when, text).items():
             layout[key] = [*layout.get(key, []), *values]
+
+
+def jamming_figure(
+    name: str, levels: FloatArray, seen: FloatArray, theory: FloatArray, marks: Sequence[float]
+) -> Figure:
+    """Draw measured C/N0 over the level of a jammer, and the formula's (Doppler-aided, 8)."""
+    data = [
+        line(levels, theory, "@muted", hover="%{y:.1f} dB-Hz", name="formula", showlegend=True,
+             line={"dash": "dash"}),
+        line(levels, seen, PALETTE[0], hover="%{y:.1f} dB-Hz", name="measured", showlegend=True,
+             mode="lines+markers"),
+    ]  # fmt: skip
+    shapes = [
+        {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": value, "y1": value,
+         "line": {"color": "@muted", "width": 1, "dash": "dot"}}
+        for value in marks
+    ]  # fmt: skip
+    layout = {
+        "xaxis": axis("J/S [dB]"), "yaxis": axis("C/N0 [dB-Hz]"), "shapes": shapes,
+        "showlegend": True, "legend": {"x": 1, "xanchor": "right", "y": 1},
+    }  # fmt: skip
+    caption = (
+        f"Jammer: {name}. C/N0 as the receiver measures it, mean of the satellites, and by the "
+        "formula; dotted: what the paper's two loops need."
+    )
+    return Figure(f"C/N0 under {name}", caption, [Panel(data, layout)], half=True)
+
+
+def threshold_figure(
+    curves: Sequence[tuple[str, FloatArray, FloatArray]], marks: Sequence[float]
+) -> Figure:
+    """Draw loops' true phase error over the level of a jammer while the antenna moves."""
+    data = []
+    for k, (name, level, error) in enumerate(curves):
+        shown = envelope(level, np.minimum(error, 1e3), 300)
+        data.append(line(*shown, PALETTE[k], hover="%{y:.1f} deg", name=name, showlegend=True))
+    layout: dict[str, Any] = {
+        "xaxis": axis("J/S [dB]"),
+        "yaxis": axis("RMS of true phase error [deg]", range=[0, 45]),
+        "showlegend": True,
+        "legend": {"x": 0, "y": 1},
+    }
+    for value in marks:
+        for key, values in moment(value, f"{value:g} dB: table 1").items():
+            layout[key] = [*layout.get(key, []), *values]
+    caption = (
+        "Antenna on a circle of 2 g at 1 Hz, the jammer rises: true phase error of the median "
+        "satellite, RMS over a second. The rule of thumb's limit is 15 deg."
+    )
+    return Figure("Loops under a rising jammer", caption, [Panel(data, layout)], half=True)

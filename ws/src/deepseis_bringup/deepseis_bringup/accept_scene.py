@@ -1,4 +1,4 @@
-"""A simulated scenario and the receiver's runs on it, for the acceptance of tracking."""
+"""A recording with its truth and the receiver's runs on it, for the acceptance of tracking."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from deepseis_bringup.accept import Acceptance
 from deepseis_bringup.graph import GraphConfig
 from deepseis_bringup.inertial import inertial_parameters
 from deepseis_bringup.loop_measures import (
@@ -22,6 +23,7 @@ from deepseis_bringup.loop_measures import (
 from deepseis_bringup.offline import OfflineChain, Output
 from deepseis_bringup.run_columns import Columns
 from deepseis_bringup.simulate import simulate
+from deepseis_core.types import FloatArray, Pvt
 from deepseis_frontend.if_bag import IfBag
 from deepseis_sim.scenario import load_scenario
 
@@ -34,6 +36,27 @@ POLARITY_S: Final = 9.0
 """By then a subframe has told the polarity; before, half a cycle may be put in [s]."""
 SETTLED_S: Final = 1.5
 """Left out at both ends of the motion: its ramps."""
+
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a group of tables gets: a folder for its files, the form, where lines and pictures go.
+
+    ``say`` is told what is done.
+    """
+
+    folder: Path
+    short: bool
+    acceptance: Acceptance
+    say: Say = lambda _text: None
+
+    def run(self, scene: Recorded, loop: Loop) -> Outcome:
+        """Work through a recording with a loop, and say so."""
+        self.say(f"{scene.name}: {loop.name}")
+        return scene.run(loop)
 
 
 @dataclass(frozen=True)
@@ -68,12 +91,17 @@ def aided(bandwidth_hz: float, imu: str = "") -> Loop:
 
 @dataclass
 class Outcome:
-    """What one loop did in one scenario."""
+    """What one loop did with one recording.
+
+    ``loss_db`` is what the recording's quantiser takes of the truth's C/N0.
+    """
 
     loop: Loop
     still: list[LoopFigures]
     moving: list[LoopFigures]
     tracks: Mapping[str, Columns] = field(default_factory=dict)
+    pvts: Sequence[Pvt] = ()
+    loss_db: float = QUANTISING_DB
 
     def satellite(self) -> LoopFigures:
         """Return the figures, moving, of the satellite nearest to `ELEVATION_DEG`."""
@@ -82,13 +110,105 @@ class Outcome:
     def ratios(self) -> list[float]:
         """Return true phase error over thermal limit of every satellite, moving."""
         return [
-            item.own_rms / thermal_deg(self.loop.bandwidth_hz, item.cn0_dbhz - QUANTISING_DB)
+            item.own_rms / thermal_deg(self.loop.bandwidth_hz, item.cn0_dbhz - self.loss_db)
             for item in self.moving
         ]
 
+    def held(self) -> int:
+        """Count the satellites that were locked throughout the motion, without a slip."""
+        return sum(item.locked > 0.99 and not item.slips for item in self.moving)
 
-class Scene:
-    """One simulated scenario and its runs.
+
+@dataclass
+class Recorded:
+    """An input bag with its truth.
+
+    Attributes
+    ----------
+    name : str
+    bag : Path
+        With samples, station and IMU.
+    nav_file : Path
+        Orbits, RINEX.
+    truth : CarrierTruth
+    antenna_ecef : ndarray, shape (3,)
+        Where the antenna stands at first [m].
+    week : int
+        GPS week.
+    still, moving : tuple of float
+        Spans to be measured [s].
+    loss_db : float
+        What the quantiser takes of the truth's C/N0.
+    settings : mapping of mappings
+        Parameters of nodes that the recording needs.
+    """
+
+    name: str
+    bag: Path
+    nav_file: Path
+    truth: CarrierTruth
+    antenna_ecef: FloatArray
+    week: int
+    still: tuple[float, float]
+    moving: tuple[float, float]
+    loss_db: float = QUANTISING_DB
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def config(self, loop: Loop) -> GraphConfig:
+        """Return the graph for a loop, with the orbits and the place a station knows."""
+        known = {"nav_file": str(self.nav_file), "position_ecef": self.antenna_ecef.tolist()}
+        week = {"reference_week": self.week}
+        parameters: dict[str, dict[str, Any]] = {
+            "pvt": dict(known),
+            "acquisition": {**known, **week},
+            "tracker": {**week, **loop.tracker},
+        }
+        if loop.aiding == "fusion":
+            parameters |= self.inertial()
+            parameters["fusion"] |= loop.fusion
+        for kind, more in self.settings.items():
+            if kind in parameters:
+                parameters[kind] |= more
+        return GraphConfig(
+            source={"file": str(self.bag)},
+            sample_rate_hz=RATE_HZ,
+            satellites=self.truth.satellites,
+            aiding=loop.aiding,
+            parameters=parameters,
+        )
+
+    def inertial(self) -> dict[str, dict[str, Any]]:
+        """Return the parameters of ``motion_state`` and ``fusion``."""
+        parameters = inertial_parameters(self.bag, IfBag(self.bag))
+        parameters["fusion"]["nav_file"] = str(self.nav_file)
+        return parameters
+
+    def run(self, loop: Loop, listen: Callable[[Output], None] | None = None) -> Outcome:
+        """Work through the recording with a loop, in this process."""
+        tracks, pvts = Tracks(), []
+        for output in OfflineChain(self.config(loop)).run():
+            if output.topic.startswith("tracking/"):
+                tracks.add(output.value)
+            elif output.topic == "gnss/pvt":
+                pvts.append(output.value)
+            if listen is not None:
+                listen(output)
+        found = tracks.finish()
+        still, moving = (
+            measure(found, self.truth, RATE_HZ, span, self.still)
+            for span in (self.still, self.moving)
+        )
+        # Left out is what the sky hides, never what the loops lost: that is no number, and misses.
+        seen = {item.satellite for item in still if np.isfinite(item.cn0_dbhz)}
+        seen &= {item.satellite for item in moving if np.isfinite(item.cn0_dbhz)}
+        still, moving = (
+            [item for item in part if item.satellite in seen] for part in (still, moving)
+        )
+        return Outcome(loop, still, moving, found, pvts, self.loss_db)
+
+
+class Scene(Recorded):
+    """A scenario, simulated.
 
     Parameters
     ----------
@@ -113,56 +233,25 @@ class Scene:
         settings: Sequence[str] = (),
         label: str = "",
     ) -> None:
-        self.name, self.folder = name, folder / (name + label)
+        place = folder / (name + label)
         self.scenario = load_scenario(name, short=short, settings=settings)
-        simulate(self.scenario, self.folder, progress=False)
-        self.truth = CarrierTruth.read(self.folder / "truth.npz")
-        summary = json.loads((self.folder / "summary.json").read_text())
+        simulate(self.scenario, place, progress=False)
+        summary = json.loads((place / "summary.json").read_text())
         begin, end = summary["motion_begin_s"], summary["motion_end_s"]
-        self.still = (max(POLARITY_S, begin - 11.0), begin - 0.5)
-        self.moving = (begin + SETTLED_S, end - SETTLED_S)
+        still, moving = (begin - 11.0, begin - 0.5), (begin + SETTLED_S, end - SETTLED_S)
+        if begin == end:  # nothing ever moves
+            still = moving = (0.0, self.scenario.duration)
         self.stands_in = bool(summary["motion_stands_in"])
-
-    def config(self, loop: Loop) -> GraphConfig:
-        """Return the graph for a loop, with the orbits and the place a station knows."""
-        bag, nav = self.folder / "bag", str(self.folder / "nav.rnx")
-        with np.load(self.folder / "truth.npz") as truth:
-            antenna = truth["antenna_ecef_m"][0].tolist()
-        known = {"nav_file": nav, "position_ecef": antenna}
-        week = {"reference_week": self.scenario.start.week}
-        parameters: dict[str, dict[str, Any]] = {
-            "pvt": dict(known),
-            "acquisition": {**known, **week},
-            "tracker": {**week, **loop.tracker},
-        }
-        if loop.aiding == "fusion":
-            parameters |= inertial_parameters(bag, IfBag(bag))
-            parameters["fusion"] |= {"nav_file": nav, **loop.fusion}
-        return GraphConfig(
-            source={"file": str(bag)},
-            sample_rate_hz=RATE_HZ,
-            satellites=self.truth.satellites,
-            aiding=loop.aiding,
-            parameters=parameters,
+        self.truth_file = place / "truth.npz"
+        with np.load(self.truth_file) as truth:
+            antenna = truth["antenna_ecef_m"][0]
+        super().__init__(
+            name,
+            place / "bag",
+            place / "nav.rnx",
+            CarrierTruth.read(self.truth_file),
+            antenna,
+            self.scenario.start.week,
+            (max(POLARITY_S, still[0]), still[1]),
+            moving,
         )
-
-    def run(self, loop: Loop, listen: Callable[[Output], None] | None = None) -> Outcome:
-        """Work through the scenario with a loop, in this process."""
-        tracks = Tracks()
-        for output in OfflineChain(self.config(loop)).run():
-            if output.topic.startswith("tracking/"):
-                tracks.add(output.value)
-            if listen is not None:
-                listen(output)
-        found = tracks.finish()
-        still, moving = (
-            measure(found, self.truth, RATE_HZ, span, self.still)
-            for span in (self.still, self.moving)
-        )
-        # Left out is what the sky hides, never what the loops lost: that is no number, and misses.
-        seen = {item.satellite for item in still if np.isfinite(item.cn0_dbhz)}
-        seen &= {item.satellite for item in moving if np.isfinite(item.cn0_dbhz)}
-        still, moving = (
-            [item for item in part if item.satellite in seen] for part in (still, moving)
-        )
-        return Outcome(loop, still, moving, found)

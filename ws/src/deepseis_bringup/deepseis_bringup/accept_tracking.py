@@ -1,75 +1,39 @@
-"""Acceptance of the tracking loops: thesis tables 5.3 to 5.6, 5.11 and 5.13, repeated.
+"""Acceptance of the tracking loops: the thesis' and the Doppler-aided paper's tables, repeated.
 
 Every scenario is simulated once; the receiver then works through it with each loop in one
-process (`offline`), and once as a graph over DDS, whose payloads must be the same bytes.
-
-The thesis' bandwidths are those of analog constants (docs/decisions/0006): its conventional loops
-are repeated with them. Ours are what they say.
+process (`offline`), and once as a graph over DDS, whose payloads must be the same bytes. One
+module gives one group of tables.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import numpy as np
+from deepseis_bringup.accept import Acceptance
+from deepseis_bringup.accept_bandwidth import best_bandwidths
+from deepseis_bringup.accept_dynamics import high_dynamics, shaken_oscillator
+from deepseis_bringup.accept_independent import independent_signal
+from deepseis_bringup.accept_jamming import jamming
+from deepseis_bringup.accept_loops import thesis_tables
+from deepseis_bringup.accept_scene import Say, Work
+from deepseis_bringup.accept_static import standing_still
 
-from deepseis_bringup.accept import Acceptance, Goal, Row
-from deepseis_bringup.accept_figures import discriminator_figure, error_figure
-from deepseis_bringup.accept_scene import (
-    QUANTISING_DB,
-    RATE_HZ,
-    Loop,
-    Outcome,
-    Scene,
-    aided,
-    conventional,
+GROUPS: Final[tuple[Callable[[Work], None], ...]] = (
+    thesis_tables,
+    standing_still,
+    independent_signal,
+    jamming,
+    high_dynamics,
+    best_bandwidths,
+    shaken_oscillator,
 )
-from deepseis_bringup.graph_payloads import run_graph
-from deepseis_bringup.loop_measures import pooled, thermal_deg
-from deepseis_bringup.offline import Output, encode
-
-Say = Callable[[str], None]
-
-LOOPS: Final = (conventional(15.0), conventional(8.0), aided(8.0), aided(5.0), aided(3.0))
-MEMS: Final = aided(8.0, "mti-g")
-
-PUBLISHED: Final[Mapping[tuple[str, str], tuple[float, float]]] = {
-    ("sine-1hz", "conventional 15 Hz"): (28.96, 47.90),
-    ("sine-1hz", "conventional 8 Hz"): (46.31, 89.96),
-    ("sine-1hz", "aided 8 Hz"): (1.70, 8.25),
-    ("sine-1hz", "aided 5 Hz"): (2.03, 8.82),
-    ("sine-1hz", "aided 8 Hz, mti-g"): (1.89, 8.88),
-    ("sine-2hz", "conventional 15 Hz"): (26.39, 44.46),
-    ("sine-2hz", "conventional 8 Hz"): (51.73, 89.90),
-    ("sine-2hz", "aided 8 Hz"): (1.81, 7.59),
-    ("sine-2hz", "aided 5 Hz"): (2.30, 7.73),
-    ("sine-2hz", "aided 8 Hz, mti-g"): (2.00, 7.96),
-    ("quake", "conventional 15 Hz"): (3.21, 23.78),
-    ("quake", "conventional 8 Hz"): (4.59, 29.51),
-    ("quake", "aided 8 Hz"): (1.69, 7.10),
-    ("quake", "aided 5 Hz"): (1.94, 8.14),
-    ("quake", "aided 8 Hz, mti-g"): (1.76, 8.31),
-    ("shake-table", "conventional 15 Hz"): (7.26, 24.92),
-    ("shake-table", "conventional 8 Hz"): (18.44, 37.30),
-    ("shake-table", "aided 8 Hz"): (4.59, 14.43),
-    ("shake-table", "aided 5 Hz"): (5.90, 18.22),
-}
-"""Thesis: RMS and greatest discriminator output while moving [deg], scenario and loop."""
-
-TABLES: Final = {
-    "sine-1hz": "T 5.3 circle 1 Hz",
-    "sine-2hz": "T 5.4 circle 2 Hz",
-    "quake": "T 5.5 earthquake",
-    "shake-table": "T 5.6 shake table",
-}
 
 
 def accept_tracking(folder: Path, *, short: bool, say: Say = lambda _text: None) -> Acceptance:
-    """Repeat the thesis' tables of tracking.
+    """Repeat the papers' tables of tracking.
 
     Parameters
     ----------
@@ -82,187 +46,8 @@ def accept_tracking(folder: Path, *, short: bool, say: Say = lambda _text: None)
     """
     form = "short forms" if short else "full forms"
     acceptance = Acceptance("tracking", f"Tracking loops under earthquakes, {form}")
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".input.") as place:
-        for name in TABLES:
-            say(f"{name}: simulating")
-            scene = Scene(name, Path(place), short=short)
-            outcomes = [_run(scene, loop, say) for loop in LOOPS]
-            if name != "shake-table":
-                say(f"{name}: simulating with {MEMS.imu}")
-                grade = [f"imu.grade={MEMS.imu}"]
-                other = Scene(name, Path(place), short=short, settings=grade, label=MEMS.imu)
-                outcomes.append(_run(other, MEMS, say))
-            if scene.stands_in:
-                acceptance.remarks.append(f"{name}: an artificial motion stands in.")
-            for outcome in outcomes:
-                acceptance.add(*_rows(scene, outcome, short))
-            acceptance.add(*_mems_rows(scene, outcomes))
-            acceptance.figures.append((TABLES[name], _figures(scene, outcomes)))
-            if name == "sine-2hz":
-                say(f"{name}: over DDS")
-                acceptance.add(_same_bytes(scene, aided(8.0), Path(place) / "dds"))
-        for more in (shaken_oscillator, high_dynamics):
-            acceptance.add(*more(Path(place), short, say))
+    for group in GROUPS:
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".input.") as place:
+            group(Work(Path(place), short, acceptance, say))
     acceptance.write(folder)
     return acceptance
-
-
-def shaken_oscillator(place: Path, short: bool, say: Say) -> list[Row]:
-    """Let the oscillator ride on the table; aid with what it feels, and without."""
-    say("sine-1hz: simulating with the oscillator on the table")
-    settings = [
-        "receiver.oscillator.on_table=true",
-        "receiver.oscillator.g_sensitivity=[1.0e-9, 0.0, 0.0]",
-    ]
-    scene = Scene("sine-1hz", place, short=short, settings=settings, label="oscillator")
-    rows = []
-    for known, text in ((False, "without g-terms"), (True, "with g-terms")):
-        loop = replace(aided(8.0), fusion={"oscillator_on_body": known})
-        outcome = _run(scene, loop, say)
-        scenario = f"sine-1hz, oscillator-on-table, {loop.name}, {text}"
-        common = [
-            float(np.sqrt(max(item.error_rms**2 - item.own_rms**2, 0.0)))
-            for item in outcome.moving
-        ]
-        rows += [
-            Row("oscillator on the table", scenario, "common phase error, all satellites", "deg",
-                pooled(common)),
-            Row("oscillator on the table", scenario, "true phase error / thermal limit", "-",
-                pooled(outcome.ratios()), limit=1.0),
-        ]  # fmt: skip
-    return rows
-
-
-def high_dynamics(place: Path, short: bool, say: Say) -> list[Row]:
-    """Fly the Doppler-aided paper's profile: 25 g/s, 50 g, 2450 m/s at 35 dB-Hz."""
-    say("high-g: simulating")
-    scene = Scene("high-g", place, short=short)
-    third = {"pll_order": 3, "pll_bandwidth_hz": 25.0, "integration_ms": 1}
-    narrow = aided(3.0)
-    loops = (
-        Loop("conventional 25 Hz order 3, 1 ms", "", 25.0, third),
-        replace(narrow, name="aided 3 Hz, velocity form"),
-        replace(
-            narrow,
-            name="aided 3 Hz, acceleration form",
-            tracker={**narrow.tracker, "aiding_form": "acceleration"},
-        ),
-    )
-    rows = []
-    for loop in loops:
-        outcome = _run(scene, loop, say)
-        held = sum(item.locked > 0.99 and not item.slips for item in outcome.moving)
-        of = float(len(outcome.moving))
-        published = "holds" if loop.aiding else "loses lock near 40 g"
-        goal = Goal.at_least(of) if loop.aiding else None
-        rows.append(
-            Row("D figures 9 to 13", f"high-g, {loop.name}", "satellites held without slip", "-",
-                float(held), published, goal, of)
-        )  # fmt: skip
-        if loop.aiding:
-            rows.append(
-                Row("D figures 9 to 13", f"high-g, {loop.name}",
-                    "true phase error / thermal limit, all satellites", "-",
-                    pooled(outcome.ratios()), goal=Goal.at_most(1.10), limit=1.0)
-            )  # fmt: skip
-    return rows
-
-
-def _run(scene: Scene, loop: Loop, say: Say) -> Outcome:
-    say(f"{scene.name}: {loop.name}")
-    return scene.run(loop)
-
-
-def _rows(scene: Scene, outcome: Outcome, short: bool) -> list[Row]:
-    table, loop = TABLES[scene.name], outcome.loop
-    moving = outcome.satellite()
-    scenario = f"{scene.name}, {loop.name}"
-    published = PUBLISHED.get((scene.name, loop.name), (None, None))
-    rms_goal = max_goal = None
-    if loop.aiding == "" and scene.name.startswith("sine") and published[0] is not None:
-        rms_goal = Goal.within(0.15, published[0])
-        max_goal = Goal.within(0.15, published[1] or 0.0)
-    if loop.aiding:
-        max_goal = Goal.at_most(round(4.5 * moving.discriminator_rms, 2))
-    rows = [
-        Row(table, scenario, f"discriminator RMS, {moving.satellite}", "deg",
-            moving.discriminator_rms, published[0], rms_goal),
-        Row(table, scenario, f"discriminator greatest, {moving.satellite}", "deg",
-            moving.discriminator_max, published[1], max_goal),
-    ]  # fmt: skip
-    if not loop.aiding:
-        kept = sum(item.locked > 0.99 and not item.slips for item in outcome.moving)
-        rows.append(
-            Row(table, scenario, "satellites held without slip", "-", float(kept),
-                limit=float(len(outcome.moving)))
-        )  # fmt: skip
-        return rows
-    quiet = pooled(item.discriminator_rms for item in outcome.still)
-    loud = pooled(item.discriminator_rms for item in outcome.moving)
-    ratios = outcome.ratios()
-    limit = thermal_deg(loop.bandwidth_hz, moving.cn0_dbhz - QUANTISING_DB)
-    slips = sum(item.slips for item in outcome.moving)
-    worst = max(outcome.moving, key=lambda item: item.own_rms)
-    return [
-        *rows,
-        Row(table, scenario, "discriminator RMS moving / still, all satellites", "-",
-            loud / quiet, goal=Goal.at_most(1.12 if short else 1.05), limit=1.0),
-        Row(table, scenario, f"true phase error, {moving.satellite}", "deg",
-            moving.own_rms, limit=limit),
-        Row(table, scenario, "true phase error / thermal limit, all satellites", "-",
-            pooled(ratios), goal=Goal.at_most(1.10), limit=1.0),
-        Row(table, scenario, f"the same, worst satellite, {worst.satellite}", "-",
-            max(ratios), limit=1.0),
-        Row(table, scenario, "true phase error with the common part, all satellites", "deg",
-            pooled(item.error_rms for item in outcome.moving)),
-        Row(table, scenario, "slips while moving", "-", float(slips), goal=Goal.at_most(0.0)),
-    ]  # fmt: skip
-
-
-def _mems_rows(scene: Scene, outcomes: list[Outcome]) -> list[Row]:
-    by_name = {outcome.loop.name: outcome for outcome in outcomes}
-    if MEMS.name not in by_name:
-        return []
-    ours = [
-        pooled(item.discriminator_rms for item in by_name[name].moving)
-        for name in (MEMS.name, aided(8.0).name)
-    ]
-    table = "T 5.13 IMU grade" if scene.name == "quake" else "T 5.11 IMU grade"
-    printed = [PUBLISHED[scene.name, name][0] for name in (MEMS.name, aided(8.0).name)]
-    return [
-        Row(table, scene.name, "discriminator RMS, MTi-G less SPAN-FSAS, all satellites", "deg",
-            ours[0] - ours[1], round(printed[0] - printed[1], 2), Goal.at_most(0.05)),
-    ]  # fmt: skip
-
-
-def _figures(scene: Scene, outcomes: list[Outcome]) -> list[Any]:
-    satellite = outcomes[0].satellite().satellite
-    tracks = {outcome.loop.name: outcome.tracks[satellite] for outcome in outcomes}
-    return [
-        discriminator_figure(scene.name, satellite, tracks, RATE_HZ, scene.moving),
-        error_figure(scene.name, outcomes, scene.truth, RATE_HZ, scene.still, scene.moving),
-    ]
-
-
-def _same_bytes(scene: Scene, loop: Loop, folder: Path) -> Row:
-    """Run the graph over DDS and compare its payloads with the chain's, topic by topic."""
-    payloads: dict[str, list[bytes]] = {}
-
-    def listen(output: Output) -> None:
-        if output.topic != "if/samples":
-            payloads.setdefault(output.topic, []).append(encode(output))
-
-    scene.run(loop, listen)
-    recorded = run_graph(scene.config(loop), folder)
-    differing = [
-        topic
-        for topic, messages in sorted(payloads.items())
-        if sorted(recorded.get(topic, [])) != sorted(messages)
-    ]
-    quantity = "topics whose bytes over DDS differ from the chain's in one process"
-    if differing:
-        quantity += ": " + " ".join(differing)
-    return Row(
-        "DDS", f"{scene.name}, {loop.name}", quantity, "topics", float(len(differing)),
-        goal=Goal.at_most(0.0),
-    )  # fmt: skip

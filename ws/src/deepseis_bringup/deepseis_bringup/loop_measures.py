@@ -83,16 +83,32 @@ class LoopFigures:
 
 
 def phase_errors(
-    tracks: Mapping[str, Columns], truth: CarrierTruth, sample_rate_hz: float
+    tracks: Mapping[str, Columns],
+    truth: CarrierTruth,
+    sample_rate_hz: float,
+    *,
+    locked: bool = True,
 ) -> FloatArray:
-    """Return NCO phase less truth [cycles], shape (m, satellites); NaN while not locked."""
+    """Return NCO phase less truth [cycles], shape (m, satellites).
+
+    NaN while not locked, or with ``locked=False`` only where nothing is tracked. The half cycle
+    that is put in, and flagged, once the data's polarity is first known is left out.
+    """
     samples = truth.t * sample_rate_hz
     error = np.full(truth.phase_cycles.shape, np.nan)
     for k, satellite in enumerate(truth.satellites):
         if satellite in tracks:
-            nco = nco_phase(tracks[satellite], samples, sample_rate_hz)
-            error[:, k] = nco - truth.phase_cycles[:, k]
+            nco = nco_phase(tracks[satellite], samples, sample_rate_hz, settled=locked)
+            error[:, k] = nco - _half_cycle(tracks[satellite], samples) - truth.phase_cycles[:, k]
     return error
+
+
+def _half_cycle(track: Columns, samples: FloatArray) -> FloatArray:
+    """Return the half cycle [cycles] at sample instants, from its first flag on."""
+    flagged = np.flatnonzero(track["flags"].astype(np.int64) & int(TrackingFlag.HALF_CYCLE))
+    if not flagged.size:
+        return np.zeros(len(samples))
+    return np.where(samples >= track["sample_index"][flagged[0]], 0.5, 0.0)
 
 
 def measure(

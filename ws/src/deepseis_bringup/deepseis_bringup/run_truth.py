@@ -99,14 +99,21 @@ def is_settled(columns: Columns, sample_rate_hz: float) -> NDArray[np.bool_]:
     return np.asarray(locked & (start - origin > SETTLING * sample_rate_hz))
 
 
-def nco_phase(columns: Columns, samples: FloatArray, sample_rate_hz: float) -> FloatArray:
-    """Carrier NCO phase [cycles] at sample instants; NaN outside settled integrations."""
+def nco_phase(
+    columns: Columns, samples: FloatArray, sample_rate_hz: float, *, settled: bool = True
+) -> FloatArray:
+    """Carrier NCO phase [cycles] at sample instants; NaN outside integrations.
+
+    ``settled``: NaN outside settled integrations too.
+    """
     start, count = columns["sample_index"], columns["sample_count"]
     out = np.full(len(samples), np.nan)
     if not start.size:
         return out
     at = np.searchsorted(start, samples, side="right") - 1
-    inside = (at >= 0) & (samples < (start + count)[at]) & is_settled(columns, sample_rate_hz)[at]
+    inside = (at >= 0) & (samples < (start + count)[at])
+    if settled:
+        inside &= is_settled(columns, sample_rate_hz)[at]
     k = at[inside]
     tau = (samples[inside] - start[k]) / sample_rate_hz
     out[inside] = (

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepseis_core.ephemeris import pack, select_ephemerides
+from deepseis_core.ephemeris import FIT_S, age, pack, select_ephemerides
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.propagation import line_of_sight
 from deepseis_core.types import Ephemeris, FloatArray
 
 RENEWAL_S = 60.0
 """The choice is made anew at multiples of this, and when an ephemeris takes effect [s]."""
-_KEPT = 4
-"""Ephemerides of a satellite."""
+_FORGOTTEN_S = 2.0 * FIT_S
+"""Ephemerides so old are forgotten; those of the future, out of a day's file, are not [s]."""
 
 
 @dataclass(frozen=True)
@@ -88,11 +88,14 @@ class SatelliteBook:
             kept = self._effective.setdefault(item.satellite, [])
             if item not in kept:
                 kept.append(item)
-            kept.sort(key=_age)
-            del kept[:-_KEPT]
+            kept.sort(key=_order)
         return True
 
     def _choice(self, time: GpsTime, antenna_ecef: FloatArray) -> Chosen:
+        for name, kept in self._effective.items():
+            self._effective[name] = [
+                item for item in kept if age(item, time.week, time.tow_ns) <= _FORGOTTEN_S
+            ]
         known = [item for name in sorted(self._effective) for item in self._effective[name]]
         chosen = select_ephemerides(known, time.week, time.tow_ns)
         if not chosen:
@@ -104,6 +107,6 @@ class SatelliteBook:
         return Chosen(names, packed[high], view.unit[high])
 
 
-def _age(item: Ephemeris) -> tuple[int, int, float, float, int]:
+def _order(item: Ephemeris) -> tuple[int, int, float, float, int]:
     """Sort key that does not know when something arrived."""
     return item.effective_sample_index, item.week, item.toe, item.transmit_tow, item.iode

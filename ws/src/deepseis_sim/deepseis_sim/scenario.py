@@ -194,7 +194,7 @@ def load_scenario(name: str, *, short: bool = False, settings: Iterable[str] = (
     scenario = _fill(tree)
     of_load = {
         "name": scenario.name or path.stem,
-        "folder": _data_folder() if path.parent == FOLDER else path.parent,
+        "folder": data_folder() if path.parent == FOLDER else path.parent,
         "short": short,
         "changes": settings,
         "places": {key: entry.where for key, entry in tree.value.items()},
@@ -234,7 +234,7 @@ def _path(name: str) -> Path:
     return path
 
 
-def _data_folder() -> Path:
+def data_folder() -> Path:
     """Return where the papers' scenarios look: the variable's folder, or ../shared/data."""
     given = os.environ.get(DATA_VARIABLE)
     if given:
