@@ -38,6 +38,7 @@ from deepseis_ins.measurements import Measurement
 from deepseis_ins.strapdown import NavState
 from deepseis_pvt.spp import SppSolution, SppSolver
 from deepseis_sim.bench import Bench
+from deepseis_sim.bench_streams import ObservationStream
 from deepseis_sim.imu import ImuSynthesizer
 from deepseis_sim.scenario import load_scenario
 
@@ -173,12 +174,16 @@ def _fixes(bench: Bench) -> Iterator[SppSolution]:
     """Solve the observations of the bench, as the pvt node does."""
     solver = SppSolver()
     packed = {item.satellite: item.ephemeris for item in bench.model.satellites}
+    (receiver,) = (
+        stream
+        for stream in bench.streams
+        if isinstance(stream, ObservationStream) and stream.topic == "gnss/observations"
+    )
     for begin, end in bench.spans():
-        for item in bench.items(begin, end):
-            if item.topic == "gnss/observations":
-                found = _solved(solver, item.value, packed)
-                if found is not None:
-                    yield found
+        for item in receiver.between(begin, end):
+            found = _solved(solver, item.value, packed)
+            if found is not None:
+                yield found
 
 
 def _solved(
