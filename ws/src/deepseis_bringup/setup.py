@@ -37,6 +37,7 @@ setup(
         "console_scripts": [
             "deepseis = deepseis_bringup.cli:main",
             "recorder = deepseis_bringup.nodes.recorder:main",
+            "exporter = deepseis_bringup.nodes.exporter:main",
         ],
     },
 )

@@ -1,4 +1,4 @@
-"""Command: convert."""
+"""Commands: convert, export."""
 
 from __future__ import annotations
 
@@ -7,7 +7,14 @@ from typing import Annotated
 
 import typer
 
-from deepseis_bringup.cli_common import Bag, add_command, bag_of, into_run_folder, say
+from deepseis_bringup.cli_common import (
+    Bag,
+    add_command,
+    bag_of,
+    into_run_folder,
+    one_line_errors,
+    say,
+)
 
 Folder = Annotated[
     Path | None, typer.Option("-o", "--output", help="Folder, made new; default runs/<UTC>.")
@@ -51,6 +58,37 @@ def convert(
     into_run_folder(output, work)
 
 
+def export(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Root of the archive, made if need be.")
+    ],
+    station: Annotated[
+        str, typer.Option(help="The running station's namespace; default: none.")
+    ] = "",
+    datalink: Annotated[
+        str, typer.Option(help="Send the records to a ringserver too: host:port.")
+    ] = "",
+) -> None:
+    r"""Write a running station's ground motion and IMU as miniSEED, until Ctrl-C.
+
+    Records of half a second go into an SDS archive as they fill; kill -9 costs less than a
+    second. Takes no part in the graph's flow control: it may come and go. More settings:
+    ./deepseis run deepseis_bringup exporter --ros-args -p ...
+
+    \b
+    Example:
+      ./deepseis export --station DSEI -o archive --datalink localhost:16000
+    """
+    with one_line_errors():
+        from deepseis_bringup import executables
+
+        space = ["-r", f"__ns:=/{station}"] if station else []
+        given = {"directory": str(output.resolve()), "datalink": datalink}
+        words = [w for k, v in given.items() if v for w in ("-p", f"{k}:={v}")]
+        executables.become("deepseis_bringup", "exporter", ["--ros-args", *space, *words])
+
+
 def register(app: typer.Typer) -> None:
-    """Add the command to the application."""
-    add_command(app, convert)
+    """Add the commands to the application."""
+    for command in (convert, export):
+        add_command(app, command)

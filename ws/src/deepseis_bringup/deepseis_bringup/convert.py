@@ -12,23 +12,28 @@ import numpy as np
 
 from deepseis_bringup.convert_bag import ConvertBag
 from deepseis_bringup.convert_csv import CsvFolder, csv_handlers
-from deepseis_bringup.fdsn_channels import Place, displacement_channels, imu_channels
+from deepseis_bringup.fdsn_channels import (
+    NETWORK,
+    Place,
+    displacement_channels,
+    imu_channels,
+    place_of_station,
+)
 from deepseis_bringup.imu_series import ImuGathering
 from deepseis_bringup.quakeml import StationEvent, write_quakeml
 from deepseis_bringup.sds import SdsArchive
 from deepseis_bringup.series_export import SeriesSet
 from deepseis_bringup.stationxml import write_stationxml
 from deepseis_bringup.true_time import TimeFinder, TrueTime
+from deepseis_core.constants import WGS84_A
 from deepseis_core.errors import InputError
-from deepseis_core.geodesy import geodetic_from_ecef
 from deepseis_core.gps_time import LEAP_SECONDS_EXPIRE_UNIX_NS, GpsTime
 from deepseis_core.types import Displacement, Pvt, PvtStatus, Station
 from deepseis_pvt.rinex_hours import RinexHours
 from deepseis_pvt.rinex_obs import VERSIONS, RinexStation
 
 FORMATS: Final = ("miniseed", "rinex", "csv")
-NETWORK: Final = "XX"
-"""FDSN's code for networks without one."""
+DEFAULT_STATION: Final = "DSEI"
 
 Say = Callable[[str], None]
 
@@ -115,23 +120,17 @@ def convert(path: Path, to: str, folder: Path, options: ConvertOptions, say: Say
 def place_of(known: Survey, options: ConvertOptions, say: Say) -> Place:
     """Return codes and coordinates: the user's, the station's, or stand-ins that are said."""
     station = known.station
-    position = known.first_position if station is None else station.monument_ecef
-    latitude, longitude, height = 0.0, 0.0, 0.0
-    if position is not None and np.linalg.norm(position) > 1e6:
-        latitude, longitude, height = geodetic_from_ecef(position).tolist()
-    else:
-        say("no surveyed place and no position: coordinates are zero")
-    network = options.network or (station.network if station else "")
-    name = options.station or (station.name.upper() if station else "")
-    if not network or not name:
-        say(f"the bag names no network or station: {network or NETWORK}.{name or 'DSEI'}")
-    return Place(
-        network or NETWORK,
-        name or "DSEI",
-        round(float(np.degrees(latitude)), 8),
-        round(float(np.degrees(longitude)), 8),
-        round(float(height), 4),
-    )
+    if station is None:
+        position = known.first_position
+        if position is None:
+            say("no surveyed place and no position: latitude and longitude are zero")
+            position = np.array([WGS84_A, 0.0, 0.0])
+        if not options.network or not options.station:
+            code, name = options.network or NETWORK, options.station or DEFAULT_STATION
+            say(f"the bag names no network and station: {code}.{name}")
+        zero, level = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
+        station = Station(DEFAULT_STATION, "", position, zero, zero, level)
+    return place_of_station(station, options.network, options.station)
 
 
 def to_miniseed(known: Survey, folder: Path, options: ConvertOptions, say: Say) -> list[Path]:

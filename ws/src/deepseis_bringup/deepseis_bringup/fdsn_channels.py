@@ -16,8 +16,12 @@ from typing import Final
 import numpy as np
 
 from deepseis_core.errors import InputError
+from deepseis_core.geodesy import geodetic_from_ecef
 from deepseis_core.rotation import matrix_from_quat
 from deepseis_core.types import DisplacementSource, FloatArray, Station
+
+NETWORK: Final = "XX"
+"""FDSN's code for networks without one."""
 
 LOCATIONS: Final[Mapping[int, int]] = {
     DisplacementSource.GNSS: 10,
@@ -54,6 +58,21 @@ class Place:
                     f"is not 1 to {size} capital letters and digits",
                     f"--{what}",
                 )
+
+
+def place_of_station(station: Station, network: str = "", code: str = "") -> Place:
+    """Return the place of a station message; codes given take the place of its own.
+
+    A station without a network code is in XX, FDSN's code for those.
+    """
+    latitude, longitude, height = geodetic_from_ecef(station.monument_ecef).tolist()
+    return Place(
+        network or station.network or NETWORK,
+        code or station.name.upper(),
+        round(float(np.degrees(latitude)), 8),
+        round(float(np.degrees(longitude)), 8),
+        round(float(height), 4),
+    )
 
 
 @dataclass(frozen=True)

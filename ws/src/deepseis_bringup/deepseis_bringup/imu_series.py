@@ -11,16 +11,24 @@ from deepseis_core.types import FloatArray, ImuSample, IntArray
 
 BATCH = 16_384
 LOOKED_AT = 1000
-"""Samples whose stamps tell the rate."""
 
 Batch = tuple[float, IntArray, FloatArray]
 """Rate [Hz], stamps [ns UTC] (n,), accelerations and rotation rates (n, 6)."""
 
 
 class ImuGathering:
-    """Gathers samples into batches; the first waits until the rate is known."""
+    """Gathers samples into batches; the first waits until the rate is known.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    batch : int, optional
+        Samples of a batch.
+    looked_at : int, optional
+        Samples whose stamps tell the rate.
+    """
+
+    def __init__(self, batch: int = BATCH, looked_at: int = LOOKED_AT) -> None:
+        self.batch, self.looked_at = batch, looked_at
         self.count = 0
         self.rate_hz = 0.0
         self._stamps: list[int] = []
@@ -31,9 +39,9 @@ class ImuGathering:
         self.count += 1
         self._stamps.append(utc_ns)
         self._values.append(np.r_[sample.linear_acceleration, sample.angular_velocity])
-        if not self.rate_hz and len(self._stamps) >= LOOKED_AT:
+        if not self.rate_hz and len(self._stamps) >= self.looked_at:
             self.rate_hz = nominal_rate(self._stamps)
-        if len(self._stamps) >= BATCH:
+        if self.rate_hz and len(self._stamps) >= self.batch:
             yield from self._give()
 
     def finish(self) -> Iterator[Batch]:

@@ -18,6 +18,7 @@ from deepseis_bringup.fdsn_channels import ChannelCode, Place
 from deepseis_bringup.quiet_obspy import obspy_modules
 from deepseis_bringup.sample_runs import Run, exact_pieces
 from deepseis_bringup.utc_pieces import DAY_NS, UtcMoment, cut_at_days
+from deepseis_core.constants import NS_PER_S
 from deepseis_core.errors import InputError
 from deepseis_core.types import FloatArray, IntArray
 
@@ -27,7 +28,7 @@ SEQUENCES: Final = 999_999
 STEIM2_STEP: Final = 2**29
 """Counts by which neighbours may differ at most."""
 
-_TIME_AT, _FLAGS_AT = 20, 36  # offsets in a record
+_TIME_AT, _FLAGS_AT, _BLOCKETTES_AT = 20, 36, 46  # offsets in a record
 _LEAP_FLAG = 0x10
 
 
@@ -113,6 +114,34 @@ def _leap_marked(data: bytes, start: UtcMoment) -> bytes:
         struct.pack_into(">HHBBB", out, at + _TIME_AT, year, day_of_year, 23, 59, 60)
         out[at + _FLAGS_AT] |= _LEAP_FLAG
     return bytes(out)
+
+
+def record_span(record: bytes) -> tuple[int, int]:
+    """Return UTC of a record's first and last sample [ns since 1970].
+
+    A leap second has the number of the second that follows.
+    """
+    year, day, hour, minute, second, fraction, count, factor, multiplier = struct.unpack_from(
+        ">HHBBBxHHhh", record, _TIME_AT
+    )
+    midnight = np.datetime64(f"{year}-01-01", "ns").astype(np.int64) + (day - 1) * DAY_NS
+    seconds = (hour * 60 + minute) * 60 + second
+    start = int(midnight) + seconds * NS_PER_S + fraction * 100_000 + _microseconds(record) * 1000
+    rate = (factor if factor > 0 else -1.0 / factor) * (
+        multiplier if multiplier > 0 else -1.0 / multiplier
+    )
+    return start, start + round((count - 1) / rate * NS_PER_S)
+
+
+def _microseconds(record: bytes) -> int:
+    """Return what blockette 1001 adds to the start time [us]; 0 without one."""
+    (at,) = struct.unpack_from(">H", record, _BLOCKETTES_AT)
+    while at:
+        kind, following = struct.unpack_from(">HH", record, at)
+        if kind == 1001:
+            return int(struct.unpack_from(">b", record, at + 5)[0])
+        at = following
+    return 0
 
 
 def sample_times(start_ns: int, count: int, rate_hz: float) -> IntArray:

@@ -44,17 +44,18 @@ class SdsArchive:
     ----------
     root : path
         Folder of the archive, made if need be.
-    place : Place
-        Codes of the station.
+    place : Place, optional
+        Codes of the station; only `write` needs them.
     """
 
-    def __init__(self, root: Path, place: Place) -> None:
+    def __init__(self, root: Path, place: Place | None = None) -> None:
         self.root, self.place = root, place
         self.records = 0
         self.paths: dict[Path, None] = {}
 
     def write(self, run: Run, channels: tuple[ChannelCode, ...]) -> None:
         """Append a run, one channel for each column of its values."""
+        assert self.place is not None
         for column, channel in enumerate(channels):
             parts: dict[int, bytearray] = {}
             sequence = self.records % SEQUENCES + 1

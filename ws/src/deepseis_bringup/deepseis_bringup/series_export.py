@@ -45,12 +45,18 @@ class SeriesExport:
     lower : mapping, optional
         Rates to make besides, each with its flat fraction; those at or above the native rate, or
         that do not divide it, are left out.
+    batch : int, optional
+        Samples that are gathered before they are written.
     """
 
     def __init__(
-        self, channels: tuple[ChannelCode, ...], write: Write, lower: Mapping[float, float]
+        self,
+        channels: tuple[ChannelCode, ...],
+        write: Write,
+        lower: Mapping[float, float],
+        batch: int = BATCH,
     ) -> None:
-        self.channels, self.write = channels, write
+        self.channels, self.write, self.batch = channels, write, batch
         self.rate_hz = channels[0].rate_hz
         self.cutter = RunCutter(self.rate_hz)
         self.epochs: dict[tuple[str, str], ChannelEpoch] = {}
@@ -76,7 +82,7 @@ class SeriesExport:
         self._times.append(gps_ns)
         self._values.append(values)
         self._gathered += len(gps_ns)
-        if self._gathered >= BATCH:
+        if self._gathered >= self.batch:
             self.flush()
 
     def flush(self) -> None:
@@ -111,10 +117,14 @@ class SeriesSet:
     """The series of a station, made as they appear.
 
     ``alias`` also writes derived channels under source Y, which some networks use for GNSS.
+    ``lower`` are the rates made besides. ``batch_s`` is the length of data that is gathered [s];
+    None: a good number of samples.
     """
 
     write: Write
     alias: bool = False
+    lower: Mapping[float, float] = field(default_factory=lambda: LOWER)
+    batch_s: float | None = None
     series: dict[object, SeriesExport] = field(default_factory=dict)
 
     def displacement(
@@ -127,7 +137,7 @@ class SeriesSet:
         for quantity, codes in channels.items():
             values = np.asarray(getattr(value, quantity), np.float64).reshape(-1, 3)
             if len(values) == len(gps_ns):  # a source may leave a quantity empty
-                self.push((codes[0].location, codes[0].code), codes, gps_ns, values, LOWER)
+                self.push((codes[0].location, codes[0].code), codes, gps_ns, values, self.lower)
 
     def push(
         self,
@@ -139,7 +149,10 @@ class SeriesSet:
     ) -> None:
         """Take samples of a series named by ``key``."""
         if key not in self.series:
-            self.series[key] = SeriesExport(channels, self._write, lower)
+            batch = BATCH
+            if self.batch_s is not None:
+                batch = max(1, round(self.batch_s * channels[0].rate_hz))
+            self.series[key] = SeriesExport(channels, self._write, lower, batch)
         self.series[key].push(gps_ns, values)
 
     def _write(self, run: Run, channels: tuple[ChannelCode, ...]) -> None:
@@ -149,10 +162,13 @@ class SeriesSet:
 
     def finish(self) -> list[ChannelEpoch]:
         """Write the rest; returns every channel written with its span."""
-        epochs: list[ChannelEpoch] = []
         for series in self.series.values():
             series.flush()
-            epochs += series.epochs.values()
+        return self.epochs()
+
+    def epochs(self) -> list[ChannelEpoch]:
+        """Return every channel written so far with its span."""
+        epochs = [epoch for series in self.series.values() for epoch in series.epochs.values()]
         if self.alias:
             epochs += [
                 replace(epoch, channel=replace(epoch.channel, source="Y"))

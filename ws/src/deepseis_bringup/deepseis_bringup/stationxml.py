@@ -28,19 +28,20 @@ FREQUENCY_HZ: Final = 0.1
 class ChannelEpoch:
     """A channel with the time of its first and last sample [ns since the GPS epoch].
 
-    ``stages`` are the filters that made it from a higher rate.
+    The last is None where the channel goes on. ``stages`` are the filters that made it from a
+    higher rate.
     """
 
     channel: ChannelCode
     first_gps_ns: int
-    last_gps_ns: int
+    last_gps_ns: int | None
     stages: tuple[Stage, ...] = ()
 
 
 def write_stationxml(
     path: Path, place: Place, epochs: Iterable[ChannelEpoch], station: Station | None = None
 ) -> None:
-    """Write the inventory; validated against the schema (FDSN StationXML 1.2).
+    """Write the inventory, whole or not at all; validated (schema of FDSN StationXML 1.2).
 
     Raises
     ------
@@ -48,8 +49,10 @@ def write_stationxml(
         It cannot be written.
     """
     inventory = build_inventory(place, list(epochs), station)
+    part = path.with_name(path.name + ".part")
     try:
-        inventory.write(str(path), format="STATIONXML", validate=True)
+        inventory.write(str(part), format="STATIONXML", validate=True)
+        part.replace(path)
     except OSError as error:
         raise InputError(path, f"cannot be written: {error.strerror}") from None
 
@@ -91,7 +94,7 @@ def _channel(epoch: ChannelEpoch, place: Place, station: Station | None) -> Any:
     obspy = obspy_modules()
     inv, channel = obspy.core.inventory, epoch.channel
     start, end = (
-        obspy.UTCDateTime(ns=UtcMoment.of_gps_ns(ns).unix_ns)
+        None if ns is None else obspy.UTCDateTime(ns=UtcMoment.of_gps_ns(ns).unix_ns)
         for ns in (epoch.first_gps_ns, epoch.last_gps_ns)
     )
     return inv.Channel(

@@ -7,6 +7,7 @@ that the recording was said to begin. Both are set right with what each position
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,13 +76,15 @@ class TrueTime:
 class TimeFinder:
     """Gathers what a bag says of time.
 
-    ``sample_rate_hz`` is that of the samples; without it stamps stay as they are.
+    ``sample_rate_hz`` is that of the samples; without it stamps must tell it. Live, the newest
+    ``keep`` positions are enough.
     """
 
-    def __init__(self, sample_rate_hz: float | None) -> None:
+    def __init__(self, sample_rate_hz: float | None, keep: int | None = None) -> None:
         self.sample_rate_hz = sample_rate_hz
         self.coarse: SampleClock | None = None
-        self._rows: list[tuple[int, float, int]] = []
+        self._first: tuple[int, int] | None = None
+        self._rows: deque[tuple[int, float, int]] = deque(maxlen=keep)
 
     def take_pvt(self, pvt: Pvt) -> None:
         """Take the clock error of a position."""
@@ -92,9 +95,18 @@ class TimeFinder:
                 self._rows.append((receiver, bias, pvt.sample_index))
 
     def take_stamp(self, sample_index: int, utc_ns: int) -> None:
-        """Take the coarse stamp of a sample, once."""
-        if self.coarse is None and self.sample_rate_hz:
-            self.coarse = SampleClock.from_sample(sample_index, utc_ns, self.sample_rate_hz)
+        """Take the coarse stamp of a sample; two half a second apart tell an unknown rate."""
+        if self.coarse is not None:
+            return
+        if not self.sample_rate_hz:
+            self._first = self._first or (sample_index, utc_ns)
+            samples, ns = sample_index - self._first[0], utc_ns - self._first[1]
+            if samples <= 0 or ns < NS_PER_S // 2:
+                return
+            rate = samples * NS_PER_S / ns
+            whole = float(round(rate))
+            self.sample_rate_hz = whole if abs(whole - rate) < 1e-6 * rate else rate
+        self.coarse = SampleClock.from_sample(sample_index, utc_ns, self.sample_rate_hz)
 
     def finish(self) -> TrueTime:
         """Return what was found."""

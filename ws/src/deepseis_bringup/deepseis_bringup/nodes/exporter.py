@@ -1,0 +1,118 @@
+"""Node: a live station's ground motion and IMU into an SDS archive, and to a ringserver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from sensor_msgs.msg import Imu
+
+from deepseis_bringup.datalink import DataLink, address_of
+from deepseis_bringup.live_export import LiveConfig, LiveExport
+from deepseis_bringup.sds import SdsArchive
+from deepseis_core.config import setting
+from deepseis_core.errors import InputError
+from deepseis_core.imu_message import decode_imu
+from deepseis_core.ros import codecs, diagnostics, qos
+from deepseis_core.ros.codecs import subscribe
+from deepseis_core.ros.main import Process, run
+from deepseis_core.ros.parameters import declare, reject_unknown
+from deepseis_core.sample_clock import SampleClock
+from deepseis_core.types import Displacement, InsSolution, Pvt, Station
+
+_BY_STAMP = SampleClock(0, 1e9)
+
+
+@dataclass(frozen=True)
+class ExporterConfig:
+    """Where the records go."""
+
+    directory: str = setting("", "root of the SDS archive, made if need be [path]")
+    datalink: str = setting("", "ringserver's DataLink as host:port; empty: none [-]")
+
+
+class ExporterNode(Node):
+    """In: station, gnss/pvt, ins/solution, seismo/displacement, imu/data_raw. Out: /diagnostics.
+
+    Takes no part in the graph's flow control: it may come, go and fail. Parameters:
+    ExporterConfig, LiveConfig.
+    """
+
+    def __init__(self, process: Process) -> None:
+        super().__init__("exporter")
+        self.config, live = declare(self, ExporterConfig), declare(self, LiveConfig)
+        reject_unknown(self)
+        if not self.config.directory:
+            raise InputError("parameter directory of exporter", "is empty", "name the archive")
+        self.folder = Path(self.config.directory)
+        self.archive = SdsArchive(self.folder)
+        self.link: DataLink | None = None
+        if self.config.datalink:
+            self.link = DataLink(*address_of(self.config.datalink), self.get_logger().info)
+        self.export = LiveExport(live, None, self.put)
+        subscribe(self, codecs.STATION, "station", self.on_station, qos.LATCHED)
+        subscribe(self, codecs.PVT, "gnss/pvt", self.on_pvt, qos.STREAM)
+        subscribe(self, codecs.INS_SOLUTION, "ins/solution", self.on_solution, qos.STREAM)
+        subscribe(self, codecs.DISPLACEMENT, "seismo/displacement", self.on_motion, qos.STREAM)
+        self.create_subscription(Imu, "imu/data_raw", self.on_imu, qos.STREAM, raw=True)
+        self.diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.STREAM)
+        self.create_timer(1.0, self.report)
+
+    def put(self, name: Path, records: bytes) -> None:
+        """Hand records on; the archive first."""
+        self.archive.append(name, records)
+        if self.link is not None:
+            self.link.put(name, records)
+
+    def on_station(self, station: Station, _utc_ns: int) -> None:
+        """Learn the codes."""
+        self.export.take_station(station)
+
+    def on_pvt(self, pvt: Pvt, _utc_ns: int) -> None:
+        """Learn the clock's error."""
+        self.export.take_pvt(pvt)
+
+    def on_solution(self, solution: InsSolution, utc_ns: int) -> None:
+        """Learn the coarse clock from the first sample's stamp."""
+        if len(solution.sample_index):
+            self.export.take_stamp(int(solution.sample_index[0]), utc_ns)
+
+    def on_motion(self, motion: Displacement, _utc_ns: int) -> None:
+        """Export ground motion."""
+        self.export.take_displacement(motion)
+
+    def on_imu(self, data: bytes) -> None:
+        """Export an IMU sample."""
+        self.export.take_imu(*decode_imu(data, _BY_STAMP))
+
+    def report(self) -> None:
+        """Describe new channels; publish the counters."""
+        self.export.describe(self.folder)
+        gaps = self.export.series.gaps()
+        values = {"records": self.export.records, "held": self.export.held, **vars(gaps)}
+        level = diagnostics.OK if self.export.records else diagnostics.WARN
+        text = f"{self.export.records} records" if self.export.records else "nothing to export yet"
+        if self.link is not None:
+            values |= {"sent": self.link.sent, "dropped": self.link.dropped}
+            if not self.link.connected:
+                level, text = diagnostics.WARN, f"{text}, no connection to {self.config.datalink}"
+        utc_ns = self.export.newest_utc_ns
+        self.diagnostics.publish(diagnostics.encoded("exporter", level, text, values, utc_ns))
+
+    def close(self) -> None:
+        """Write what has not filled a packet."""
+        self.export.close()
+        self.export.describe(self.folder)
+        if self.link is not None:
+            self.link.close()
+
+
+def main() -> None:
+    """Run the node."""
+    run(lambda process: process.add(ExporterNode(process)), "exporter")
+
+
+if __name__ == "__main__":
+    main()
