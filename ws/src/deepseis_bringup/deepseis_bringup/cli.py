@@ -8,6 +8,7 @@ from deepseis_bringup import (
     cli_accept,
     cli_bags,
     cli_convert,
+    cli_gravimetry,
     cli_runs,
     cli_sim,
     cli_station,
@@ -75,6 +76,7 @@ for commands in (
     cli_convert,
     cli_sim,
     cli_theory,
+    cli_gravimetry,
     cli_accept,
 ):
     commands.register(app)

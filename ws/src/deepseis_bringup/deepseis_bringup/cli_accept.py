@@ -13,6 +13,7 @@ from deepseis_bringup.cli_common import Out, add_command, into_run_folder, say
 
 REPEATED: Final[Mapping[str, str]] = {
     "tracking": "accept_tracking",
+    "gravimetry": "accept_gravimetry",
 }
 """Module of `deepseis_bringup`, and its function of the same name, that repeats each."""
 

@@ -355,6 +355,18 @@ class LooseFilter:
             self._has_moved()
         return reference
 
+    def refer_constants(self, sd: ArrayLike) -> None:
+        """Let the three constants of `Measurement.D` begin anew, of given sd (or covariance).
+
+        They are the errors of what measurements refer to in place of an attitude.
+        """
+        self.refer_attitude(np.eye(3), sd)
+
+    def take_constants(self) -> tuple[FloatArray, FloatArray]:
+        """Return their estimate and covariance; the caller corrects, the filter goes on from 0."""
+        error, self._reference_error = self._reference_error, np.zeros(3)
+        return error, self._B[REFERENCE, REFERENCE].copy()
+
     # Smoothing
 
     def take_steps(self) -> list[FilterStep]:
