@@ -1,6 +1,7 @@
 """The exporter beside a station: records in the archive and at a ringserver's port."""
 
 import os
+import socket
 import subprocess
 import time
 
@@ -42,10 +43,16 @@ def insolution(sample_index):
 
 
 def test_what_a_station_says_is_in_the_archive_and_at_the_ringserver(tmp_path):
-    peer = Peer()
+    peer, seconds = Peer(), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    seconds.bind(("127.0.0.1", 0))
+    seconds.settimeout(10.0)
     with own_domain() as environment, listener(environment) as (node, until):
         program = str(executable("deepseis_bringup", "exporter"))
-        parameters = (f"directory:={tmp_path}", f"datalink:=127.0.0.1:{peer.port}")
+        parameters = (
+            f"directory:={tmp_path}",
+            f"datalink:=127.0.0.1:{peer.port}",
+            f"gdrt:=127.0.0.1:{seconds.getsockname()[1]}",
+        )
         words = [w for item in parameters for w in ("-p", item)]
         arguments = ["--ros-args", "-r", "__ns:=/DSEI", *words]
         process = subprocess.Popen(
@@ -64,13 +71,16 @@ def test_what_a_station_says_is_in_the_archive_and_at_the_ringserver(tmp_path):
             }
             until(lambda: all(p.get_subscription_count() for p in publish.values()), 60.0)
             speak(publish)
-            until(lambda: len(list(tmp_path.rglob("*.D.*"))) == 15, 30.0)
+            until(lambda: process.poll() or len(list(tmp_path.rglob("*.D.*"))) == 15, 30.0)
             time.sleep(0.5)
         finally:
             process.terminate()
             errors = process.communicate(timeout=30)[1]
     peer.close()
     assert process.returncode == 0, errors
+    with seconds:
+        heads = [seconds.recv(2000)[:24] for _ in range(SECONDS)]
+    assert heads == [f"> DSEI 202201010159{50 + k}.00".encode() for k in range(SECONDS)]
     for path in tmp_path.rglob("*.D.*"):
         (trace,) = obspy_modules().read(str(path))
         assert trace.stats.npts == SECONDS * 200
@@ -91,7 +101,7 @@ def speak(publish):
         publish["ins/solution"].publish(data)
     time.sleep(2.0)  # now the clocks are known
     for k in range(SECONDS * 10):
-        time.sleep(0.02)
+        time.sleep(0.05)
         batch = displacement(20 * k, 20, 200)
         publish["seismo/displacement"].publish(codecs.DISPLACEMENT.encode(batch, coarse0))
         for i in range(20 * k + 1, 20 * k + 21):

@@ -25,6 +25,7 @@ from deepseis_bringup.live_export import LiveConfig, LiveExport
 from deepseis_bringup.quiet_obspy import obspy_modules
 from deepseis_bringup.sds import SdsArchive
 from deepseis_core.errors import InputError
+from deepseis_core.ros import codecs
 from deepseis_core.types import ImuSample
 
 TESTS = Path(__file__).resolve().parents[2]
@@ -42,7 +43,8 @@ def feed(live, first_s, last_s, after=lambda _second: None):
             value = motion([middle])[2][0]
             sample = ImuSample(0, value * 0.01, value, 1e-9, 1e-6)
             live.take_imu(sample, coarse0 + end)
-        live.take_displacement(displacement(4 * k, 4, 200))
+        data = codecs.DISPLACEMENT.encode(displacement(4 * k, 4, 200), 0)
+        live.take_displacement(codecs.DISPLACEMENT.decode(data)[0])  # flat, as off a topic
         after((k + 1) / 50)
 
 
@@ -88,6 +90,10 @@ def test_stationxml_is_open_at_its_end_and_written_once(archive):
     assert len(inventory[0][0].channels) == 15
     assert {channel.end_date for channel in inventory[0][0].channels} == {None}
     assert live.describe(folder) is None
+    good, errors = obspy_modules().io.stationxml.core.validate_stationxml(
+        str(folder / "JP.DSEI.xml")
+    )
+    assert good, errors
 
 
 def test_packets_are_half_a_second_of_whole_records():

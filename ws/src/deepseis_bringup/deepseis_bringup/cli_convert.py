@@ -68,6 +68,9 @@ def export(
     datalink: Annotated[
         str, typer.Option(help="Send the records to a ringserver too: host:port.")
     ] = "",
+    gdrt: Annotated[
+        str, typer.Option(help="Send positions to SeisComP's gdrt_plugin by UDP: host:port.")
+    ] = "",
 ) -> None:
     r"""Write a running station's ground motion and IMU as miniSEED, until Ctrl-C.
 
@@ -83,7 +86,7 @@ def export(
         from deepseis_bringup import executables
 
         space = ["-r", f"__ns:=/{station}"] if station else []
-        given = {"directory": str(output.resolve()), "datalink": datalink}
+        given = {"directory": str(output.resolve()), "datalink": datalink, "gdrt": gdrt}
         words = [w for k, v in given.items() if v for w in ("-p", f"{k}:={v}")]
         executables.become("deepseis_bringup", "exporter", ["--ros-args", *space, *words])
 

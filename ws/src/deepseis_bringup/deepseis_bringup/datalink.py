@@ -34,18 +34,19 @@ Packet = tuple[str, bytes]
 """Stream, record."""
 
 
-def address_of(text: str) -> tuple[str, int]:
-    """Return host and port of ``host:port``; without one, ringserver's own.
+def address_of(text: str, port: int | None = PORT) -> tuple[str, int]:
+    """Return host and port of ``host:port``; without one, ``port``.
 
     Examples
     --------
     >>> address_of("localhost:16001"), address_of("seis.example")
     (('localhost', 16001), ('seis.example', 16000))
     """
-    host, _, port = text.partition(":")
-    if not host or (port and not (port.isdigit() and 0 < int(port) < 65536)):
-        raise InputError(f"datalink {text!r}", "is not host:port", "such as localhost:16000")
-    return host, int(port or PORT)
+    host, colon, number = text.partition(":")
+    given = int(number) if number.isdigit() else 0 if colon else port or 0
+    if not host or not 0 < given < 65536:
+        raise InputError(f"address {text!r}", "is not host:port", "such as localhost:16000")
+    return host, given
 
 
 def stream_of(name: Path) -> str:

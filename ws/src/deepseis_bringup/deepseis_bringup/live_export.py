@@ -28,13 +28,16 @@ from deepseis_bringup.stationxml import write_stationxml
 from deepseis_bringup.true_time import TimeFinder, TrueTime
 from deepseis_core.config import setting
 from deepseis_core.gps_time import GpsTime
-from deepseis_core.types import Displacement, ImuSample, Pvt, Station
+from deepseis_core.types import Displacement, ImuSample, IntArray, Pvt, Station
 
 RATE_STAMPS = 100
 """IMU samples whose stamps tell the rate."""
 
 PacketSink = Callable[[Path, bytes], None]
 """Takes a day file's name below the archive, and whole records."""
+
+MotionSink = Callable[[Displacement, IntArray], None]
+"""Takes a batch of ground motion and its true GPS times [ns]."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,11 @@ class LiveExport:
         Of the IF samples; None: their stamps tell it.
     sink : callable
         Takes the records.
+
+    Attributes
+    ----------
+    on_motion : callable or None
+        Also takes every batch of ground motion that is exported.
     """
 
     def __init__(self, config: LiveConfig, sample_rate_hz: float | None, sink: PacketSink) -> None:
@@ -75,6 +83,7 @@ class LiveExport:
         self._series = SeriesSet(self._write, config.alias, {}, seconds)
         self._imu = ImuGathering(batch=1, looked_at=RATE_STAMPS)
         self._described = 0
+        self.on_motion: MotionSink | None = None
 
     @property
     def series(self) -> SeriesSet:
@@ -104,6 +113,8 @@ class LiveExport:
         rate_hz = round(1.0 / value.interval, 6)
         week_ns = GpsTime(value.week, 0).total_ns
         gps_ns = self._time.of_receiver(week_ns + np.asarray(value.tow_ns, np.int64))
+        if self.on_motion is not None:
+            self.on_motion(value, gps_ns)
         channels = displacement_channels(value.source, value.smoothed, rate_hz)
         self._series.displacement(value, gps_ns, channels)
 
@@ -134,14 +145,17 @@ class LiveExport:
                 self.sink(sds_path(self.place, channel, day_ns), data)
 
     def describe(self, folder: Path) -> Path | None:
-        """Write the StationXML anew if channels have come; returns its path if so."""
+        """Write the StationXML anew if channels have come; returns its path if so.
+
+        Not validated: messages would wait for it.
+        """
         epochs = self._series.epochs()
         if len(epochs) <= self._described or self.place is None:
             return None
         self._described = len(epochs)
         path = folder / f"{self.place.network}.{self.place.station}.xml"
         going_on = [replace(epoch, last_gps_ns=None) for epoch in epochs]
-        write_stationxml(path, self.place, going_on, self.station)
+        write_stationxml(path, self.place, going_on, self.station, validate=False)
         return path
 
     def close(self) -> None:

@@ -39,9 +39,16 @@ class ChannelEpoch:
 
 
 def write_stationxml(
-    path: Path, place: Place, epochs: Iterable[ChannelEpoch], station: Station | None = None
+    path: Path,
+    place: Place,
+    epochs: Iterable[ChannelEpoch],
+    station: Station | None = None,
+    *,
+    validate: bool = True,
 ) -> None:
-    """Write the inventory, whole or not at all; validated (schema of FDSN StationXML 1.2).
+    """Write the inventory, whole or not at all.
+
+    ``validate``: against the schema of FDSN StationXML 1.2, which takes a second or two.
 
     Raises
     ------
@@ -51,7 +58,7 @@ def write_stationxml(
     inventory = build_inventory(place, list(epochs), station)
     part = path.with_name(path.name + ".part")
     try:
-        inventory.write(str(part), format="STATIONXML", validate=True)
+        inventory.write(str(part), format="STATIONXML", validate=validate)
         part.replace(path)
     except OSError as error:
         raise InputError(path, f"cannot be written: {error.strerror}") from None

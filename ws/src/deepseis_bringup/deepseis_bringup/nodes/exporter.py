@@ -10,7 +10,9 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
 from deepseis_bringup.datalink import DataLink, address_of
+from deepseis_bringup.gdrt import GdrtSender
 from deepseis_bringup.live_export import LiveConfig, LiveExport
+from deepseis_bringup.quiet_obspy import obspy_modules
 from deepseis_bringup.sds import SdsArchive
 from deepseis_core.config import setting
 from deepseis_core.errors import InputError
@@ -20,7 +22,7 @@ from deepseis_core.ros.codecs import subscribe
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.sample_clock import SampleClock
-from deepseis_core.types import Displacement, InsSolution, Pvt, Station
+from deepseis_core.types import Displacement, DisplacementSource, InsSolution, Pvt, Station
 
 _BY_STAMP = SampleClock(0, 1e9)
 
@@ -31,6 +33,10 @@ class ExporterConfig:
 
     directory: str = setting("", "root of the SDS archive, made if need be [path]")
     datalink: str = setting("", "ringserver's DataLink as host:port; empty: none [-]")
+    gdrt: str = setting("", "SeisComP's gdrt_plugin as host:port, UDP; empty: none [-]")
+    gdrt_source: str = setting(
+        "fused", "motion sent there [-]", choices=("gnss", "aided", "fused")
+    )
 
 
 class ExporterNode(Node):
@@ -46,11 +52,15 @@ class ExporterNode(Node):
         reject_unknown(self)
         if not self.config.directory:
             raise InputError("parameter directory of exporter", "is empty", "name the archive")
+        obspy_modules()  # takes a second: before messages come, not when the first is written
         self.folder = Path(self.config.directory)
         self.archive = SdsArchive(self.folder)
         self.link: DataLink | None = None
         if self.config.datalink:
             self.link = DataLink(*address_of(self.config.datalink), self.get_logger().info)
+        gdrt = self.config.gdrt
+        self.gdrt_address = address_of(gdrt, None) if gdrt else None
+        self.gdrt: GdrtSender | None = None
         self.export = LiveExport(live, None, self.put)
         subscribe(self, codecs.STATION, "station", self.on_station, qos.LATCHED)
         subscribe(self, codecs.PVT, "gnss/pvt", self.on_pvt, qos.STREAM)
@@ -69,10 +79,21 @@ class ExporterNode(Node):
     def on_station(self, station: Station, _utc_ns: int) -> None:
         """Learn the codes."""
         self.export.take_station(station)
+        if self.gdrt_address is not None and self.gdrt is None and self.export.place is not None:
+            self.gdrt = GdrtSender(
+                self.gdrt_address,
+                f"{self.export.place.station[:4]:X<4}",
+                station.monument_ecef,
+                self.get_logger().warning,
+                DisplacementSource[self.config.gdrt_source.upper()],
+            )
+            self.export.on_motion = self.gdrt.take
 
     def on_pvt(self, pvt: Pvt, _utc_ns: int) -> None:
         """Learn the clock's error."""
         self.export.take_pvt(pvt)
+        if self.gdrt is not None:
+            self.gdrt.satellites = len(pvt.satellites)
 
     def on_solution(self, solution: InsSolution, utc_ns: int) -> None:
         """Learn the coarse clock from the first sample's stamp."""
@@ -98,6 +119,8 @@ class ExporterNode(Node):
             values |= {"sent": self.link.sent, "dropped": self.link.dropped}
             if not self.link.connected:
                 level, text = diagnostics.WARN, f"{text}, no connection to {self.config.datalink}"
+        if self.gdrt is not None:
+            values |= {"gdrt_sent": self.gdrt.sent, "gdrt_failed": self.gdrt.failed}
         utc_ns = self.export.newest_utc_ns
         self.diagnostics.publish(diagnostics.encoded("exporter", level, text, values, utc_ns))
 
@@ -107,6 +130,8 @@ class ExporterNode(Node):
         self.export.describe(self.folder)
         if self.link is not None:
             self.link.close()
+        if self.gdrt is not None:
+            self.gdrt.close()
 
 
 def main() -> None:
