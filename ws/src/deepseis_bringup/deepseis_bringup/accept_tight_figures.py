@@ -1,0 +1,88 @@
+"""Pictures of the acceptance of tight coupling."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from deepseis_bringup.accept_tight_drive import Drive
+from deepseis_bringup.report_plot import (
+    PALETTE,
+    Figure,
+    Panel,
+    Row,
+    axis,
+    envelope,
+    line,
+    merged,
+    moment,
+    nice_span,
+    rows_panel,
+    time_axis,
+)
+from deepseis_core.geodesy import geodetic_from_ecef, rotation_enu_ecef
+from deepseis_core.types import FloatArray
+
+COLOURS = dict(zip(("raw", "Hatch", "RTKLIB", "truth"), PALETTE, strict=False))
+
+
+def error_figure(
+    title: str,
+    caption: str,
+    time: FloatArray,
+    errors: Mapping[str, FloatArray],
+    axes: Sequence[str],
+    spans: Sequence[tuple[float, float]] = (),
+) -> Figure:
+    """Draw errors (m, 3) of several solutions, an axis after the other (H figures 6 to 11)."""
+    sizes = [np.nanpercentile(np.abs(e), 99.0) for e in errors.values()]
+    span, rows = nice_span(sizes), []
+    for k, name in enumerate(axes):
+        for solution, error in errors.items():
+            colour = COLOURS[solution.split(",")[0]]
+            note = f"{np.sqrt(np.nanmean(error[:, k] ** 2)):.2f}"
+            rows.append(
+                Row(f"{name} {solution.split(',')[0]}", colour, *envelope(time, error[:, k]), note)
+            )
+    panel = rows_panel(rows, float(time[-1]), span, "m")
+    marks = [moment(t, text) for s in spans for t, text in zip(s, ("blocked", ""), strict=True)]
+    layout = merged(panel.layout, *marks)
+    more = f" Rows span {span:g} m either way; at the right the RMS [m]."
+    return Figure(title, caption + more, [Panel(panel.data, layout, panel.height)])
+
+
+def running_figure(title: str, caption: str, time: FloatArray,
+                   errors: Mapping[str, FloatArray]) -> Figure:  # fmt: skip
+    """Draw the RMS since the start against time (H figure 12)."""
+    data = []
+    for name, error in errors.items():
+        known = np.isfinite(error)
+        total = np.cumsum(np.where(known, error, 0.0) ** 2)
+        running = np.sqrt(total / np.maximum(np.cumsum(known), 1))
+        running[~known] = np.nan
+        trace = line(*envelope(time, running), COLOURS[name.split(",")[0]], hover="%{y:.2f} m")
+        data.append(trace | {"name": name, "showlegend": True})
+    layout = {"xaxis": time_axis(float(time[-1])), "yaxis": axis("RMS since the start [m]")}
+    return Figure(title, caption, [Panel(data, layout)], half=True)
+
+
+def map_figure(title: str, caption: str, drive: Drive, tracks: Mapping[str, FloatArray]) -> Figure:
+    """Draw tracks from above, metres east and north of the start."""
+    origin = drive.truth.position[np.isfinite(drive.truth.position[:, 0])][0]
+    place = geodetic_from_ecef(origin)
+    C = rotation_enu_ecef(place[0], place[1])
+    data = []
+    for name, position in {"truth": drive.truth.position, **tracks}.items():
+        enu = (position - origin) @ C.T
+        points = {"mode": "markers", "marker": {"size": 3}} if name == "RTKLIB" else {}
+        trace = line(enu[:, 0], enu[:, 1], COLOURS[name.split(",")[0]], hover="%{y:.1f} m")
+        trace |= {"hovertemplate": "%{x:.0f} m east, %{y:.0f} m north<extra></extra>"}
+        trace["marker"] = {"color": COLOURS[name.split(",")[0]], "size": 3}
+        data.append(trace | points | {"name": name, "showlegend": True})
+    layout = {
+        "xaxis": axis("east [m]"),
+        "yaxis": axis("north [m]", scaleanchor="x"),
+        "hovermode": "closest",
+    }
+    return Figure(title, caption, [Panel(data, layout, height=560)])
