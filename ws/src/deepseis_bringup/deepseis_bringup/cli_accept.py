@@ -14,6 +14,7 @@ from deepseis_bringup.cli_common import Out, add_command, into_run_folder, say
 REPEATED: Final[Mapping[str, str]] = {
     "tight": "accept_tight",
     "tracking": "accept_tracking",
+    "gyrofree": "accept_gyrofree",
     "gravimetry": "accept_gravimetry",
 }
 """Module of `deepseis_bringup`, and its function of the same name, that repeats each."""
