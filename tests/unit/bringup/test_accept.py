@@ -1,10 +1,19 @@
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from deepseis_bringup.accept import COLUMNS, Acceptance, Goal, Row
-from deepseis_bringup.loop_measures import CarrierTruth, Tracks, measure, pooled, thermal_deg
+from deepseis_bringup.loop_measures import (
+    CarrierTruth,
+    Tracks,
+    measure,
+    phase_errors,
+    pooled,
+    thermal_deg,
+)
+from deepseis_bringup.report_plot import Figure, Panel
 from deepseis_core.types import TrackingEpochs, TrackingFlag, TrackingMode
 
 RATE = 4e6
@@ -42,6 +51,22 @@ def test_the_csv_has_the_promised_columns_and_says_what_is_missed(tmp_path):
     page = (tmp_path / "x.html").read_text()
     assert "A &lt;test&gt;" in page
     assert "1 of 2 goals" in page
+
+
+def test_pictures_stand_behind_their_table_and_numbers_are_not_broken():
+    acceptance = Acceptance("x", "X")
+    acceptance.add(Row("first", "s", "a", "deg", 2.0), Row("second", "s", "b", "deg", 0.5))
+    panel = Panel([], {})
+    for title in ("drawn", "drawn too"):
+        acceptance.figures.append(("first", [Figure(title, "", [panel])]))
+    acceptance.figures.append(("without a table", [Figure("apart", "", [panel])]))
+    page = acceptance.page()
+    places = [
+        page.index(text)
+        for text in (">first<", ">drawn<", ">drawn too<", ">second<", ">without a table<")
+    ]
+    assert places == sorted(places)
+    assert '<td style="white-space:nowrap">0.5</td>' in page
 
 
 def epochs(satellite, phase, noise, *, flags=LOCKED, cn0=45.0):
@@ -132,3 +157,19 @@ def test_slips_and_lost_lock_are_counted(made):
 def test_thermal_noise_at_the_papers_values():
     # 8 Hz, 20 ms, 45 dB-Hz: 0.912 deg (thesis 3.2).
     assert thermal_deg(8.0, 45.0) == pytest.approx(0.912, abs=0.001)
+
+
+def test_a_half_cycle_put_in_for_polarity_is_no_error(made):
+    _, truth, _, noise = made
+    turned = np.zeros(1000)
+    turned[600:] = 0.5
+    part = epochs("G01", lambda t: 100.0 * t, noise[0] + turned)
+    flags = part.flags.copy()
+    flags[600] |= int(TrackingFlag.HALF_CYCLE)
+    for shown, expected in ((flags, 0.0), (part.flags, 0.5)):
+        tracks = Tracks()
+        tracks.add(replace(part, flags=shown))
+        error = phase_errors(tracks.finish(), truth, RATE)[:, 0]
+        step = np.nanmean(error[1210:1990]) - np.nanmean(error[400:1190])
+        # Means of 8 s of 0.004 cycles, 400 integrations.
+        assert step == pytest.approx(expected, abs=0.002)

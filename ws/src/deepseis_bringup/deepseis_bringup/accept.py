@@ -21,6 +21,9 @@ from deepseis_bringup.report_tables import Tile
 COLUMNS: Final = (
     *("table", "scenario", "quantity", "unit", "published", "ours", "goal", "limit", "met"),
 )
+NUMBERS: Final = ("unit", "ours", "goal", "limit", "met")
+WHOLE: Final = ' style="white-space:nowrap"'
+"""Of cells whose text must not be broken."""
 RELATIONS: Final[dict[str, Callable[[float, float], bool]]] = {
     "<=": operator.le,
     ">=": operator.ge,
@@ -149,11 +152,15 @@ class Acceptance:
     def page(self) -> str:
         """Return the page."""
         panels: list[dict[str, Any]] = []
-        body = [
-            f"<h2>{escape(table)}</h2><figure>{_table(rows)}</figure>"
-            for table, rows in _by_table(self.rows)
-        ]
+        body: list[str] = []
+        drawn: dict[str, list[Figure]] = {}
         for name, figures in self.figures:
+            drawn.setdefault(name, []).extend(figures)
+        for table, rows in _by_table(self.rows):
+            figures = drawn.pop(table, [])
+            pictures = place(figures, panels, Colours([])) if figures else ""
+            body.append(f"<h2>{escape(table)}</h2><figure>{_table(rows)}</figure>{pictures}")
+        for name, figures in drawn.items():
             body.append(f"<h2>{escape(name)}</h2>{place(figures, panels, Colours([]))}")
         met, goals = self.counts()
         lead = f"{met} of {goals} goals are met. " + " ".join(self.remarks)
@@ -184,7 +191,10 @@ def _table(rows: Sequence[Row]) -> str:
     lines = []
     for row in rows:
         style = ' class="bad"' if row.met is False else ""
-        cells = "".join(f"<td>{escape(text)}</td>" for text in row.cells()[1:])
+        cells = "".join(
+            f"<td{WHOLE if name in NUMBERS else ''}>{escape(text)}</td>"
+            for name, text in zip(COLUMNS[1:], row.cells()[1:], strict=True)
+        )
         lines.append(f"<tr{style}>{cells}</tr>")
     table = f'<table class="words"><tr>{head}</tr>{"".join(lines)}</table>'
     return f'<div class="scroll" tabindex="0">{table}</div>'

@@ -92,7 +92,7 @@ def loose_positions(work: Work, scene: Scene, outcomes: Sequence[Outcome]) -> No
         rms[outcome.loop.name] = np.sqrt(np.mean(error[moving] ** 2, axis=0))
         curves.append((outcome.loop.name, when, error))
     work.acceptance.add(*_rows(scene, rms))
-    work.acceptance.figures.append((f"{TABLE}, {scene.name}", _figures(scene, curves)))
+    work.acceptance.figures.append((TABLE, _figures(scene, curves)))
 
 
 def _rows(scene: Scene, rms: dict[str, FloatArray]) -> list[Line]:
