@@ -37,6 +37,7 @@ setup(
         "console_scripts": [
             "fusion = deepseis_ins.nodes.fusion:main",
             "motion_state = deepseis_ins.nodes.motion_state:main",
+            "seismic_event = deepseis_ins.nodes.seismic_event:main",
             "truth_aiding = deepseis_ins.nodes.truth_aiding:main",
         ],
     },

@@ -33,6 +33,7 @@ TYPES: Mapping[str, tuple[str, str]] = {
     "ins/solution": ("deepseis_msgs/msg/InsSolution", "stream"),
     "ins/odometry": ("nav_msgs/msg/Odometry", "stream"),
     "seismo/displacement": ("deepseis_msgs/msg/Displacement", "stream"),
+    "seismo/event": ("deepseis_msgs/msg/SeismicEvent", "latched"),
     "/diagnostics": ("diagnostic_msgs/msg/DiagnosticArray", "stream"),
 }
 """Type and quality of service of every topic that is recorded or played."""
@@ -42,7 +43,7 @@ ONLOOKER = "watch"
 
 KINDS = (
     *("if_source", "imu_source", "acquisition", "tracker", "pvt", "motion_state", "fusion"),
-    *("truth_aiding", "recorder"),
+    *("seismic_event", "truth_aiding", "recorder"),
 )
 """Kinds of nodes; overrides of parameters go by kind."""
 
@@ -135,13 +136,21 @@ def _motion_topics(config: GraphConfig) -> tuple[str, ...]:
 
 
 def precise_parameters(config: GraphConfig) -> dict[str, Any]:
-    """Return what pvt's precise positions have to know of the rest of the graph."""
-    name, default = ("aided", 8.0) if config.aiding else ("pll", 15.0)
+    """Return what pvt's precise positions have to know of the rest of the graph.
+
+    What goes into the fusion that aids the loops must not be what the loops make of that aiding:
+    each integration's own phase is taken, with the noise bandwidth of an integration.
+    """
     tracker = config.parameters.get("tracker", {})
-    return {
-        "loop_bandwidth_hz": float(tracker.get(f"{name}_bandwidth_hz", default)),
-        "wait_motion": config.aiding == "fusion",
-    }
+    if config.aiding == "fusion":
+        integration_ms = float(tracker.get("integration_ms", 20))
+        return {
+            "loop_bandwidth_hz": 500.0 / integration_ms,
+            "wait_motion": True,
+            "add_discriminator": True,
+        }
+    name, default = ("aided", 8.0) if config.aiding else ("pll", 15.0)
+    return {"loop_bandwidth_hz": float(tracker.get(f"{name}_bandwidth_hz", default))}
 
 
 def topic_type(topic: str) -> tuple[str, str]:
@@ -269,11 +278,21 @@ def _inertial(config: GraphConfig) -> list[NodeSpec]:
             *("aiding/doppler", "ins/solution", "ins/odometry", "seismo/displacement"),
             "/diagnostics",
         ),
-        ("imu/data_raw", "motion/state", "gnss/pvt", "gnss/ephemeris"),
+        ("imu/data_raw", "motion/state", "gnss/pvt", "gnss/precise", "gnss/ephemeris"),
         "fusion",
         {"satellites": list(config.satellites), "sample_rate_hz": config.sample_rate_hz},
     )
-    return [imu_source, motion_state, fusion]
+    events = NodeSpec(
+        "seismic_event",
+        "deepseis_ins",
+        "seismic_event",
+        "seismic_event",
+        ("seismo/event", "/diagnostics"),
+        ("seismo/displacement",),
+        "seismic_event",
+        {"sample_rate_hz": config.sample_rate_hz},
+    )
+    return [imu_source, motion_state, fusion, events]
 
 
 def _recorder(config: GraphConfig, others: list[NodeSpec]) -> NodeSpec:

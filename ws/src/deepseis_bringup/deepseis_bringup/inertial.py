@@ -43,7 +43,7 @@ def has_imu(path: Path) -> bool:
 
 
 def inertial_parameters(path: Path, source: IfSource) -> dict[str, dict[str, Any]]:
-    """Return parameters of ``motion_state`` and ``fusion`` for a bag.
+    """Return parameters of ``motion_state``, ``fusion`` and ``seismic_event`` for a bag.
 
     Raises
     ------
@@ -69,7 +69,14 @@ def inertial_parameters(path: Path, source: IfSource) -> dict[str, dict[str, Any
         "imu_to_antenna": station.imu_to_antenna.tolist(),
         "imu_orientation_xyzw": station.imu_orientation_xyzw.tolist(),
     }
-    return {"motion_state": common, "fusion": {**common, **geometry}}
+    return {
+        "motion_state": common,
+        "fusion": {**common, **geometry},
+        "seismic_event": {
+            "start_utc_ns": clock.start_utc_ns,
+            "monument_ecef": geometry["monument_ecef"],
+        },
+    }
 
 
 def assistance(bag: Path) -> dict[str, dict[str, Any]]:

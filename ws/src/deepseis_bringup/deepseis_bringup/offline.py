@@ -189,9 +189,10 @@ class OfflineChain:
 
     def _positions(self, force_through: int | None = None) -> Iterator[Output]:
         for observations, pvt in self.pvt.advance(force_through):
-            yield from _solved(observations, pvt, self.precise)
-            if self.inertial is not None and pvt is not None:
-                self.inertial.push_pvt(pvt)
+            for output in _solved(observations, pvt, self.precise):
+                yield output
+                if self.inertial is not None:
+                    self.inertial.push_position(output.topic, output.value)
         if self.inertial is not None:
             self.inertial.pvt_valid(self.pvt.valid_through)
 
@@ -261,5 +262,6 @@ def encode(output: Output) -> bytes:
         "gnss/precise": codecs.PRECISE_POSITION,
         "aiding/doppler": codecs.DOPPLER_AIDING,
         "motion/state": codecs.MOTION_STATE,
+        "seismo/event": codecs.SEISMIC_EVENT,
     }
     return by_topic.get(topic, codecs.TRACKING_EPOCHS).encode(value, utc_ns)

@@ -13,6 +13,7 @@ from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import Ephemeris, ImuSample, Pvt, Station
 from deepseis_frontend.imu_bag import ImuBag
+from deepseis_ins.event_engine import EventConfig, EventEngine
 from deepseis_ins.fusion_config import FusionConfig
 from deepseis_ins.fusion_engine import FusionEngine
 from deepseis_ins.fusion_output import FusionOutput
@@ -20,12 +21,13 @@ from deepseis_ins.ground_motion import displacement_utc_ns
 from deepseis_ins.loose import LooseConfig
 from deepseis_ins.motion_engine import MotionEngine, MotionEngineConfig
 from deepseis_ins.motion_state import MotionConfig
+from deepseis_ins.onset import OnsetConfig
 
 Pick = Callable[[type[Any], Mapping[str, Any]], Any]
 
 
 class InertialChain:
-    """IMU, motion state and fusion of a graph's description.
+    """IMU, motion state, fusion and events of a graph's description.
 
     Parameters
     ----------
@@ -34,13 +36,13 @@ class InertialChain:
     clock : SampleClock
         Of its IF samples.
     given : mapping
-        Parameters of ``fusion`` and ``motion_state``.
+        Parameters of ``fusion``, ``motion_state`` and ``seismic_event``.
     pick : callable
         Fills a settings dataclass from parameters.
 
     Attributes
     ----------
-    motion, fusion
+    motion, fusion, events
         The engines, to be looked at.
     """
 
@@ -69,6 +71,13 @@ class InertialChain:
             rate,
             loose=pick(LooseConfig, known),
         )
+        events = given.get("seismic_event", {})
+        self.events = EventEngine(
+            pick(EventConfig, events),
+            pick(OnsetConfig, events),
+            "",
+            np.array(known["monument_ecef"]),
+        )
         if known.get("nav_file"):
             for ephemeris in read_rinex_nav(known["nav_file"]).ephemerides:
                 self.fusion.push_ephemeris(ephemeris)
@@ -76,6 +85,13 @@ class InertialChain:
     def push_pvt(self, pvt: Pvt) -> None:
         """Take a position."""
         self.fusion.push_pvt(pvt)
+
+    def push_position(self, topic: str, value: Any) -> None:
+        """Take what pvt publishes, if it is a position that the fusion listens to."""
+        if topic == "gnss/pvt":
+            self.push_pvt(value)
+        elif topic == "gnss/precise":
+            self.fusion.push_precise(value)
 
     def push_ephemeris(self, ephemeris: Ephemeris) -> None:
         """Take an orbit that was decoded."""
@@ -109,6 +125,8 @@ class InertialChain:
             yield "ins/solution", solution, self.clock.utc_ns(int(solution.sample_index[0]))
         for motion in output.motion:
             yield "seismo/displacement", motion, displacement_utc_ns(motion)
+            for report in self.events.push(motion):
+                yield "seismo/event", report.event, report.utc_ns
 
 
 def _station(known: Mapping[str, Any]) -> Station:

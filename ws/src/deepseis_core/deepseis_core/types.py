@@ -283,6 +283,30 @@ class Displacement:
 
 
 @dataclass(frozen=True)
+class Stamp:
+    """A time as ROS has it: UTC since 1970 [s, ns]."""
+
+    sec: int
+    nanosec: int
+
+
+@dataclass(frozen=True)
+class SeismicEvent:
+    """What is known of an event; the fields of ``SeismicEvent.msg``. Peaks are of vectors."""
+
+    event_id: str
+    onset: Stamp
+    ended: bool
+    onset_ratio: float
+    peak_displacement: float
+    peak_velocity: float
+    peak_acceleration: float
+    hypocentral_distance: float = float("nan")
+    magnitude: float = float("nan")
+    magnitude_sd: float = float("nan")
+
+
+@dataclass(frozen=True)
 class Aiding:
     """Predicted Doppler over ``[valid_from, valid_through]`` at uniform knots.
 

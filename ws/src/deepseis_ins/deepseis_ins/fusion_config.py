@@ -72,7 +72,7 @@ class FusionConfig:
         1.0, "noise of precise positions as a part of their formal sigma, at first [-]",
         low=0.1, high=3.0,
     )  # fmt: skip
-    precise_correlation_s: float = setting(0.03, "correlation time of it [s]", low=0.0, high=10.0)
+    precise_correlation_s: float = setting(0.0, "correlation time of it [s]", low=0.0, high=10.0)
     precise_growth: float = setting(
         3e-4, "random walk of their slow error [m/sqrt(s)]", low=0.0, high=1.0
     )

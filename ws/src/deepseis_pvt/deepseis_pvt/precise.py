@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -50,6 +50,11 @@ class PreciseConfig:
 
     wait_motion: bool = setting(
         False, "an IMU does: wait for motion/state at every epoch, and calibrate at rest"
+    )
+    add_discriminator: bool = setting(
+        False,
+        "add what the loops' discriminators say of each phase: more noise, white, and no lag;"
+        " phases of aided loops alone follow their aiding",
     )
     still_until_s: float = setting(
         0.0,
@@ -112,7 +117,7 @@ class PhasePositions:
 
     def solve(self, observations: Observations) -> PrecisePosition:
         """Return the precise position of an epoch; epochs come in order."""
-        o = observations
+        o = with_discriminator(observations) if self.config.add_discriminator else observations
         gps_ns = o.week * NS_PER_WEEK + o.tow_ns
         if self._start_ns is None:
             self._start_ns = gps_ns
@@ -227,6 +232,18 @@ def phase_positions(
     if len(position_ecef) != 3:
         return None
     return PhasePositions(np.array(position_ecef), book, config, phase, reference, spp)
+
+
+def with_discriminator(observations: Observations) -> Observations:
+    """Return observations whose phases are those of the signal, as each integration shows it.
+
+    The NCO's phase is the signal's behind the loop's filter, and in an aided loop the aiding's at
+    all that is faster. With the discriminator's output it is the signal's alone, with the white
+    noise of an integration. The observation's sign is against the NCO's.
+    """
+    o = observations
+    error = np.nan_to_num(o.carrier_error_cycles.astype(np.float64))
+    return replace(o, carrier_phase_cycles=o.carrier_phase_cycles - error)
 
 
 def nothing(observations: Observations, method: str) -> PrecisePosition:

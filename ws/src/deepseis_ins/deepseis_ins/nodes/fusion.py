@@ -24,7 +24,7 @@ from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.odometry import odometry_from_solution
 from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.sample_clock import SampleClock
-from deepseis_core.types import Ephemeris, MotionState, Pvt, Station
+from deepseis_core.types import Ephemeris, MotionState, PrecisePosition, Pvt, Station
 from deepseis_ins.fusion_config import FusionConfig
 from deepseis_ins.fusion_engine import FusionEngine
 from deepseis_ins.fusion_output import FusionOutput, FusionStatus
@@ -58,7 +58,7 @@ class NodeConfig:
 
 
 class FusionNode(Node):
-    """In: imu/data_raw, motion/state, gnss/pvt, gnss/ephemeris.
+    """In: imu/data_raw, motion/state, gnss/pvt, gnss/precise, gnss/ephemeris.
 
     Out: aiding/doppler, ins/solution, ins/odometry, seismo/displacement.
     """
@@ -87,11 +87,13 @@ class FusionNode(Node):
         self.motion = publish_on("seismo/displacement", Displacement, qos.STREAM)
         self.diagnostics = publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
         self.inputs = {name: CountedInput() for name in FOLLOWED}
-        self.orbits = CountedInput()
+        self.orbits, self.precise = CountedInput(), CountedInput()
+        self.motions = 0
         self.second, self.progressed = -1, time.monotonic()
         self.create_subscription(Imu, "imu/data_raw", self.on_imu, qos.STREAM, raw=True)
         subscribe(self, codecs.MOTION_STATE, "motion/state", self.on_motion, qos.LATCHED)
         subscribe(self, codecs.PVT, "gnss/pvt", self.on_pvt, qos.STREAM)
+        subscribe(self, codecs.PRECISE_POSITION, "gnss/precise", self.on_precise, qos.STREAM)
         subscribe(self, codecs.EPHEMERIS, "gnss/ephemeris", self.on_ephemeris, qos.LATCHED)
         self.flow.follow(FOLLOWED, self.on_watermark)
         if not self.flow.lockstep:
@@ -134,6 +136,12 @@ class FusionNode(Node):
         self.inputs["pvt"].received()
         self.work()
 
+    def on_precise(self, position: PrecisePosition, _utc_ns: int) -> None:
+        """Take a precise position."""
+        self.engine.push_precise(position)
+        self.precise.received()
+        self.work()
+
     def on_ephemeris(self, ephemeris: Ephemeris, _utc_ns: int) -> None:
         """Take an orbit."""
         self.engine.push_ephemeris(ephemeris)
@@ -146,6 +154,7 @@ class FusionNode(Node):
         self.inputs[msg.node].announced(count, msg.valid_through)
         if msg.node == "pvt":
             self.orbits.announced(msg.ephemeris_count, msg.valid_through)
+            self.precise.announced(msg.precise_count, msg.valid_through)
         self.work()
 
     def on_deadline(self) -> None:
@@ -159,7 +168,8 @@ class FusionNode(Node):
         engine.source_valid(inputs["if_source"].valid_through)
         engine.imu_valid(inputs["imu_source"].valid_through + 1)
         engine.motion_valid(inputs["motion_state"].valid_through)
-        engine.pvt_valid(min(inputs["pvt"].valid_through, self.orbits.valid_through))
+        told = inputs["pvt"], self.orbits, self.precise
+        engine.pvt_valid(min(item.valid_through for item in told))
         while (output := engine.advance(force)) is not None:
             self.publish(output)
             self.progressed, force = time.monotonic(), False  # each span has its own deadline
@@ -181,10 +191,12 @@ class FusionNode(Node):
             utc_ns = self.clock.utc_ns(int(solution.sample_index[-1]))
             self.odometry.publish(encode_message(odometry_from_solution(solution, utc_ns)))
         for motion in output.motion:
+            self.motions += 1
             utc_ns = displacement_utc_ns(motion)
             self.motion.publish(codecs.DISPLACEMENT.encode(motion, utc_ns, "map"))
         self.report(output, through)
-        self.flow.send(through, through, utc_ns=self.clock.utc_ns(through))
+        utc_ns = self.clock.utc_ns(through)
+        self.flow.send(through, through, event_count=self.motions, utc_ns=utc_ns)
 
     def report(self, output: FusionOutput, through: int) -> None:
         """Publish the counters, once a second of samples and when the status changes."""
