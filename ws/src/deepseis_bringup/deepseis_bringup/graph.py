@@ -150,7 +150,10 @@ def precise_parameters(config: GraphConfig) -> dict[str, Any]:
             "add_discriminator": True,
         }
     name, default = ("aided", 8.0) if config.aiding else ("pll", 15.0)
-    return {"loop_bandwidth_hz": float(tracker.get(f"{name}_bandwidth_hz", default))}
+    return {
+        "loop_bandwidth_hz": float(tracker.get(f"{name}_bandwidth_hz", default)),
+        "wait_motion": False,
+    }
 
 
 def topic_type(topic: str) -> tuple[str, str]:
