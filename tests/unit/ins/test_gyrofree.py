@@ -260,6 +260,20 @@ def test_an_outlier_changes_nothing_and_a_real_step_is_believed():
     assert filter_.position[0] == pytest.approx(1.0, abs=0.02)
 
 
+def test_a_bias_far_off_is_found_in_the_end():
+    """0.2 m/s^2, seven times the grade's: GNSS is rejected, then believed, and the bias learnt."""
+    filter_ = new(NINE)
+    at_rest = np.tile([0.2 / 100.0, 0.0, 9.7975 / 100.0], (100, 1))
+    told = []
+    for _ in range(120):
+        filter_.propagate(at_rest, 0.01)
+        told.append(filter_.update_position(np.zeros(3), TOTAL))
+    assert any(each.recovered for each in told)
+    assert all(each.accepted for each in told[60:])
+    assert filter_.accel_bias[0] == pytest.approx(0.2, abs=0.003)
+    assert_allclose(filter_.position, 0.0, atol=0.02)
+
+
 def test_bad_settings_and_data_are_refused():
     with pytest.raises(InputError, match="three values each"):
         new(GyroFreeConfig(drift_sd=(0.01,)))

@@ -91,7 +91,7 @@ class GyroFreeConfig:
         1e-5, "of a good innovation to be rejected [-]", low=0.0, high=0.1
     )
     rejections_before_recovery: int = setting(
-        10, "in a row, then the displacement is widened and GNSS is believed", low=1
+        10, "in a row, then the states are widened and GNSS is believed", low=1
     )
 
     @property
@@ -182,7 +182,7 @@ class GyroFreeFilter:
             if config.false_alarm_probability > 0.0
             else np.inf
         )
-        self._rejected = 0
+        self._rejected, self._unaided = 0, 0.0
         self._tape = StepTape(n) if smoothing else None
 
     # What is known
@@ -243,6 +243,7 @@ class GyroFreeFilter:
                 out.position, out.velocity, out.acceleration,
             )  # fmt: skip
             self._carry(float(dts.sum()))
+            self._unaided += float(dts.sum())
         return out
 
     def update_position(self, position_enu: ArrayLike, covariance_enu: ArrayLike) -> Innovation:
@@ -302,19 +303,29 @@ class GyroFreeFilter:
             self._rejected = 0 if accepted else self._rejected + 1
             recovered = self._rejected >= self.config.rejections_before_recovery
         if recovered:
-            self._rejected = 0
-            diagonal = np.arange(3)
-            self._P[diagonal, diagonal] += z**2
+            self._widen(z)
             innovation_kernel(self._P, H, R, z, PHt, S)
-            if self._tape is not None:
-                self._tape.move()
         if accepted or recovered:
             before, x = self._P.copy(), np.empty(n)
             correct_kernel(self._P, H, R, z, PHt, S, n, x)
             self._feed_back(x)
+            self._unaided = 0.0
             if self._tape is not None:
                 self._tape.measure(before, x, self._P.copy())
         return Innovation(name, z, sd, squared, accepted or recovered, recovered)
+
+    def _widen(self, z: FloatArray) -> None:
+        """Give up what must be wrong: an error of z came about since GNSS was last believed.
+
+        It may be a step of the displacement, a wrong velocity or a wrong bias.
+        """
+        self._rejected = 0
+        time = max(self._unaided, 1e-3)
+        for part, sd in ((POS, z), (VEL, z / time), (BIAS, 2.0 * z / time**2)):
+            diagonal = np.arange(part.start, part.stop)
+            self._P[diagonal, diagonal] += sd**2
+        if self._tape is not None:
+            self._tape.move()
 
     def _feed_back(self, x: FloatArray) -> None:
         self._x[POS] -= x[POS]
