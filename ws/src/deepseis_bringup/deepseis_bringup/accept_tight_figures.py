@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,10 @@ from deepseis_bringup.report_plot import (
 from deepseis_core.geodesy import geodetic_from_ecef, rotation_enu_ecef
 from deepseis_core.types import FloatArray
 
+LEGEND: dict[str, Any] = {
+    "showlegend": True,
+    "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
+}
 COLOURS = dict(zip(("raw", "Hatch", "RTKLIB", "truth"), PALETTE, strict=False))
 
 
@@ -64,25 +69,35 @@ def running_figure(title: str, caption: str, time: FloatArray,
         trace = line(*envelope(time, running), COLOURS[name.split(",")[0]], hover="%{y:.2f} m")
         data.append(trace | {"name": name, "showlegend": True})
     layout = {"xaxis": time_axis(float(time[-1])), "yaxis": axis("RMS since the start [m]")}
-    return Figure(title, caption, [Panel(data, layout)], half=True)
+    return Figure(title, caption, [Panel(data, layout | LEGEND)], half=True)
 
 
-def map_figure(title: str, caption: str, drive: Drive, tracks: Mapping[str, FloatArray]) -> Figure:
-    """Draw tracks from above, metres east and north of the start."""
-    origin = drive.truth.position[np.isfinite(drive.truth.position[:, 0])][0]
+def map_figure(
+    title: str,
+    caption: str,
+    drive: Drive,
+    tracks: Mapping[str, FloatArray],
+    span: tuple[float, float],
+) -> Figure:
+    """Draw tracks of a span of time [s] from above, metres east and north of its middle."""
+    inside = (drive.observed.time >= span[0]) & (drive.observed.time < span[1])
+    origin = np.nanmean(drive.truth.position[inside], axis=0)
     place = geodetic_from_ecef(origin)
-    C = rotation_enu_ecef(place[0], place[1])
-    data = []
+    C, data = rotation_enu_ecef(place[0], place[1]), []
     for name, position in {"truth": drive.truth.position, **tracks}.items():
-        enu = (position - origin) @ C.T
-        points = {"mode": "markers", "marker": {"size": 3}} if name == "RTKLIB" else {}
-        trace = line(enu[:, 0], enu[:, 1], COLOURS[name.split(",")[0]], hover="%{y:.1f} m")
-        trace |= {"hovertemplate": "%{x:.0f} m east, %{y:.0f} m north<extra></extra>"}
-        trace["marker"] = {"color": COLOURS[name.split(",")[0]], "size": 3}
-        data.append(trace | points | {"name": name, "showlegend": True})
+        enu, colour = (position[inside] - origin) @ C.T, COLOURS[name.split(",")[0]]
+        trace = line(enu[:, 0], enu[:, 1], colour)
+        trace |= {
+            "hovertemplate": "%{x:.0f} m east, %{y:.0f} m north<extra></extra>",
+            "marker": {"color": colour, "size": 5},
+            "mode": "markers" if name == "RTKLIB" else "lines",
+            "name": {"truth": "reference"}.get(name, name),
+            "showlegend": True,
+        }
+        data.append(trace)
     layout = {
         "xaxis": axis("east [m]"),
         "yaxis": axis("north [m]", scaleanchor="x"),
         "hovermode": "closest",
     }
-    return Figure(title, caption, [Panel(data, layout, height=560)])
+    return Figure(title, caption, [Panel(data, layout | LEGEND, height=560)])
