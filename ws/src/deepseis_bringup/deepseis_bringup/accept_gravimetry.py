@@ -247,20 +247,22 @@ class _Survey:
         return rows
 
     def position_rows(self) -> list[Row]:
-        """Return the largest position errors, figures 8 and 9."""
+        """Return the largest position errors, figures 8 and 9; limit: the filter's own sigma."""
         rows = []
         for method, printed in ((LDV, (17.0, 2.0)), (DOPPLER, (None, None))):
             if method not in self.result.solutions:
                 continue
-            flat, up = self._errors(self.result.solutions[method][0])
-            for name, value, known in (
-                ("horizontal", flat, printed[0]),
-                ("height", up, printed[1]),
-            ):
+            solution = self.result.solutions[method][0]
+            sd = solution.track.sd[np.isfinite(solution.track.sd[:, 0])][-1]
+            limits = float(np.hypot(sd[0], sd[1])), float(sd[2])
+            names = "horizontal", "height"
+            errors = self._errors(solution)
+            for name, value, known, limit in zip(names, errors, printed, limits, strict=True):
                 goal = None if known is None else Goal.at_most(known)
+                quantity = f"largest {name} error; as limit one sigma at the end"
                 rows.append(
-                    Row("L figures 8, 9", f"gravity-lines, {method}", f"largest {name} error",
-                        "m", value, known, goal)
+                    Row("L figures 8, 9", f"gravity-lines, {method}", quantity, "m", value, known,
+                        goal, limit)
                 )  # fmt: skip
         return rows
 

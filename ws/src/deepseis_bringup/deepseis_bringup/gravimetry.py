@@ -35,7 +35,7 @@ from deepseis_ins.survey_records import (
     survey_grade,
 )
 
-LDV, DOPPLER, PHASE = "SINS/LDV", "SINS/GNSS", "SINS/GNSS, phase"
+LDV, DOPPLER, PHASE = "SINS/LDV", "SINS/GNSS, Doppler", "SINS/GNSS, phases"
 METHODS: Final = (LDV, DOPPLER, PHASE)
 LEAST_REST: Final = 20.0
 """At the start, to find north and the base's reading [s]."""

@@ -92,7 +92,6 @@ def map_figure(method: str, lines: Sequence[Line]) -> Figure:
                 "marker": {
                     "color": packed(mean[good]),
                     "colorscale": "RdBu",
-                    "reversescale": True,
                     "cmin": -span,
                     "cmax": span,
                     "size": 9,
