@@ -79,6 +79,9 @@ def test_what_an_operator_has_calibrated_holds_from_the_start(run: FusionBench) 
     found, sd = sensitivity(engine)
     assert found == pytest.approx(GAMMA, rel=1e-3)
     assert sd == pytest.approx(1e-10, rel=0.02)
+    assert engine.oscillator is not None
+    said = [float(text) for text in engine.oscillator.report()["g_sensitivity_ppb"].split()]
+    assert said == pytest.approx(1e9 * GAMMA, abs=1e-3)
 
 
 def test_a_clock_that_jumps_teaches_nothing(

@@ -106,6 +106,12 @@ class OscillatorTerms:
         """One sigma of it [1/g], shape (3,)."""
         return np.sqrt(np.diag(self.state.P)[2:]) / PER_G
 
+    def report(self) -> dict[str, str]:
+        """Return what is known, forward-left-up [1e-9/g], for diagnostics and later settings."""
+        values = flu_from_frd(self.sensitivity), self.sensitivity_sd
+        texts = [" ".join(f"{1e9 * v:.4f}" for v in value.tolist()) for value in values]
+        return dict(zip(("g_sensitivity_ppb", "g_sensitivity_sd_ppb"), texts, strict=True))
+
     def take(self, epoch: Epoch, history: ImuHistory, *, still: bool) -> bool:
         """Take what an epoch of GNSS says of the clock, and the IMU data around and before it.
 

@@ -204,7 +204,9 @@ class FusionNode(Node):
         if second > self.second:
             self.second = second
             level = LEVELS.get(output.status, diagnostics.WARN)
-            values = self.engine.statistics
+            values: dict[str, object] = dict(self.engine.statistics)
+            if self.engine.oscillator is not None:
+                values |= self.engine.oscillator.report()
             utc_ns = self.clock.utc_ns(through)
             self.diagnostics.publish(
                 diagnostics.encoded("fusion", level, str(output.status), values, utc_ns)
