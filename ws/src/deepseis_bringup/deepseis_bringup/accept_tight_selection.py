@@ -53,6 +53,6 @@ def selection_rows(where: str, unit: FloatArray, elevation: FloatArray) -> list[
         ]  # fmt: skip
     rows.append(
         Row(table, f"{where}, all in view", "median GDOP", "-",
-            float(np.median(found[selection.ALL].gdop[ok])), limit=float(np.median(best[ok])))
+            float(np.median(found[selection.ALL].gdop[ok])))
     )  # fmt: skip
     return rows
