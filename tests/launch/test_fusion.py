@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from deepseis_bringup.accept_scene import RATE_HZ, Scene, aided
+from deepseis_bringup.base import with_base
 from deepseis_bringup.graph_payloads import run_graph
 from deepseis_bringup.loop_measures import Tracks, measure, thermal_deg
 from deepseis_bringup.offline import OfflineChain, encode
 from deepseis_core.ros import codecs
-from deepseis_core.types import MotionKind
+from deepseis_core.types import MotionKind, PreciseStatus
 from deepseis_sim import scenario as scenarios
 from deepseis_sim.motions import Circle
 from deepseis_sim.sky import SkyConfig
@@ -26,7 +27,7 @@ def scene(tmp_path_factory):
     """Six satellites; 12 cm at 2 Hz from the 12th to the 18th second."""
     circle = Circle(radius=0.12, frequency_hz=2.0, start=ONSET, duration=6.0, ramp=0.5)
     base = scenarios.load_scenario("sine-2hz", short=True)
-    small = replace(base, duration=18.5, motion=(circle,), sky=SkyConfig(satellites=6), base=None)
+    small = replace(base, duration=18.5, motion=(circle,), sky=SkyConfig(satellites=6))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("deepseis_bringup.accept_scene.load_scenario", lambda *_, **__: small)
         made = Scene("sine-2hz", tmp_path_factory.mktemp("scene"), short=True)
@@ -38,7 +39,7 @@ def scene(tmp_path_factory):
 def chain(scene):
     """Values and payloads by topic of the chain in one process."""
     values, payloads = defaultdict(list), defaultdict(list)
-    for output in OfflineChain(scene.config(aided(8.0))).run():
+    for output in OfflineChain(with_base(scene.config(aided(8.0)))).run():
         if output.topic != "if/samples":
             values[output.topic].append(output.value)
             payloads[output.topic].append(encode(output))
@@ -47,7 +48,7 @@ def chain(scene):
 
 @pytest.fixture(scope="module")
 def graph(scene, tmp_path_factory):
-    return run_graph(scene.config(aided(8.0)), tmp_path_factory.mktemp("graph") / "run")
+    return run_graph(with_base(scene.config(aided(8.0))), tmp_path_factory.mktemp("graph") / "run")
 
 
 def test_the_graph_gives_the_bytes_of_the_chain(graph, chain):
@@ -57,7 +58,7 @@ def test_the_graph_gives_the_bytes_of_the_chain(graph, chain):
 
 
 def test_another_run_gives_the_same_bytes(scene, graph, tmp_path):
-    again = run_graph(scene.config(aided(8.0)), tmp_path / "run")
+    again = run_graph(with_base(scene.config(aided(8.0))), tmp_path / "run")
     differing = [topic for topic, messages in graph.items() if again[topic] != messages]
     assert not differing
 
@@ -81,6 +82,16 @@ def test_motion_is_noticed_within_50_ms_of_a_hundredth_g(graph):
     # The ramp reaches 0.01 g 60 ms after its beginning.
     assert ONSET <= moving[0].valid_through / RATE_HZ < ONSET + 0.11
     assert moving[0].sample_index / RATE_HZ < ONSET + 0.06
+
+
+def test_every_epoch_has_its_precise_positions_with_and_without_a_base(scene, chain):
+    values = chain[0]
+    number = len(values["gnss/observations"])
+    assert len(values["gnss/precise"]) == len(values["gnss/rtk"]) == number
+    begin, end = scene.moving
+    for topic, status in (("gnss/precise", PreciseStatus.PHASE), ("gnss/rtk", PreciseStatus.FIX)):
+        chosen = [v for v in values[topic] if begin < v.sample_index / RATE_HZ < end]
+        assert {v.status for v in chosen} == {status}, topic
 
 
 def test_aiding_before_the_start_is_said_to_be_invalid(graph):

@@ -159,5 +159,5 @@ def test_unreadable_files_are_named(tmp_path, what):
 def test_kinds_are_those_of_the_graph(tmp_path, recording):
     config = station_config({"source": {"file": str(recording)}}, tmp_path / "x.yaml")
     kinds = {spec.kind for spec in build_graph(config.graph(tmp_path))}
-    inertial = {"imu_source", "motion_state", "fusion"}
-    assert kinds | inertial | {"truth_aiding"} == set(KINDS)
+    inertial = {"imu_source", "motion_state", "fusion", "seismic_event"}
+    assert kinds | inertial | {"truth_aiding", "base_source"} == set(KINDS)

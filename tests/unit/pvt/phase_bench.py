@@ -59,6 +59,7 @@ class Phases:
         self.motion, self.noise = motion, noise * noise_sd(config)
         self.rng = np.random.default_rng(seed)
         self.A = design(count)
+        self.drift = drift
         self.growth = drift / np.sin(ELEVATION[:count])
         self.bias = self.rng.normal(0.0, 1e4, count)
         self.rate = config.bias_rate_sd * self.growth * self.rng.normal(size=count)
@@ -70,9 +71,12 @@ class Phases:
         """Make the next epoch, without some satellites, or with arcs that begin anew."""
         c, dt, m = self.config, self.interval, self.count
         if self.number:
-            walk = self.growth * np.sqrt(dt) * self.rng.normal(size=(2, m))
-            self.bias = self.bias + self.rate * dt + c.bias_walk * walk[0]
-            self.rate = self.rate + c.bias_rate_walk * walk[1]
+            noise = self.rng.normal(size=(2, m))
+            walk = self.drift * c.bias_walk * np.sqrt(dt) * noise[0]
+            self.bias = self.bias + self.rate * dt + walk
+            keep = np.exp(-dt / c.bias_rate_memory_s)
+            new = np.sqrt(1.0 - keep**2) * c.bias_rate_sd * self.growth * noise[1]
+            self.rate = keep * self.rate + new
         self.time = self.number * dt
         self.number += 1
         self.clock += 0.3 * self.rng.normal()

@@ -12,7 +12,7 @@ from deepseis_pvt.still_reference import ReferenceConfig, StillReference
 
 WHITE = {"loop_bandwidth_hz": 5.0, "phase_floor_sd": 0.0}
 """At 10 Hz noise of such a loop is white."""
-FREE = {"bias_walk": 0.0, "bias_rate_sd": 0.0, "bias_rate_walk": 0.0}
+FREE = {"bias_walk": 0.0, "bias_rate_sd": 0.0}
 FIRM = PhaseConfig(**WHITE, **FREE)
 
 
@@ -120,7 +120,7 @@ def test_a_slip_in_mid_quake_does_not_move_the_antenna(told, cycles):
     error = errors(phases, [at_once, *after], 25.0)
     assert (np.abs(error) < 5.0 * np.sqrt(np.diag(after[0].covariance)[:3])).all()
     # It comes back with what the solution knows without it, and with its own noise.
-    assert np.trace(after[0].common[:3, :3]) > 1.05 * np.trace(before.common[:3, :3])
+    assert np.trace(after[0].common[:3, :3]) > 1.03 * np.trace(before.common[:3, :3])
     assert solver.counts["slips_found"] == (0 if told else 1)
 
 
@@ -180,7 +180,7 @@ def test_all_lost_at_once_waits_for_rest():
 
 
 def test_unexpected_noise_is_seen_in_the_residuals_and_owned_up_to():
-    config = PhaseConfig(**WHITE)
+    config = PhaseConfig(**WHITE, **FREE)
     phases = Phases(config, motion=circle(20.0), noise=3.0, drift=0.0)
     solver = filter_of(config)
     phases.run(solver, 20.0, True)
@@ -209,7 +209,7 @@ def test_an_offset_stays_and_calibration_goes_on_there():
     found = np.mean([s.displacement for s in after[-100:]], axis=0)
     sd = np.sqrt(np.diag(solver.reference.covariance))
     assert (np.abs(found - offset) < 4.0 * sd + 2e-4).all()
-    assert (sd < 0.003).all()
+    assert (sd < [0.003, 0.003, 0.006]).all()
     assert (np.diag(after[-1].covariance)[:3] > sd**2).all()
 
 

@@ -27,6 +27,7 @@ TYPES: Mapping[str, tuple[str, str]] = {
     "gnss/observations": ("deepseis_msgs/msg/Observations", "stream"),
     "gnss/pvt": ("deepseis_msgs/msg/Pvt", "stream"),
     "gnss/precise": ("deepseis_msgs/msg/PrecisePosition", "stream"),
+    "gnss/rtk": ("deepseis_msgs/msg/PrecisePosition", "stream"),
     "gnss/fix": ("sensor_msgs/msg/NavSatFix", "stream"),
     "aiding/doppler": ("deepseis_msgs/msg/DopplerAiding", "stream"),
     "motion/state": ("deepseis_msgs/msg/MotionState", "latched"),
@@ -42,8 +43,8 @@ ONLOOKER = "watch"
 """Flow member that looks on and takes no part."""
 
 KINDS = (
-    *("if_source", "imu_source", "acquisition", "tracker", "pvt", "motion_state", "fusion"),
-    *("seismic_event", "truth_aiding", "recorder"),
+    *("if_source", "imu_source", "base_source", "acquisition", "tracker", "pvt", "motion_state"),
+    *("fusion", "seismic_event", "truth_aiding", "recorder"),
 )
 """Kinds of nodes; overrides of parameters go by kind."""
 
@@ -55,6 +56,7 @@ class GraphConfig:
     ``one_process`` hosts all satellites together; otherwise each has its own process.
     ``aiding`` names who publishes aiding: empty, ``fusion`` (the inertial half of the graph), or
     ``truth`` (bench only).
+    ``base``: the source's bag holds a base station; it is played, and pvt solves against it.
     ``watched``: a `deepseis_bringup.watch.GraphWatch` looks on, and the source waits for it.
     ``parameters`` are overrides by node kind (``if_source``, ``tracker``, ``pvt``, ...).
     """
@@ -65,6 +67,7 @@ class GraphConfig:
     mode: str = "lockstep"
     one_process: bool = True
     aiding: str = ""
+    base: bool = False
     record_dir: str = ""
     record_if: bool = True
     output_dir: str = ""
@@ -131,8 +134,10 @@ def _trackers(config: GraphConfig) -> list[NodeSpec]:
     ]
 
 
-def _motion_topics(config: GraphConfig) -> tuple[str, ...]:
-    return ("motion/state",) if config.aiding == "fusion" else ()
+def _witnesses(config: GraphConfig) -> tuple[str, ...]:
+    """Return the topics that precise positions wait for."""
+    motion = ["motion/state"] * (config.aiding == "fusion")
+    return (*motion, *(["base/observations"] * config.base))
 
 
 def precise_parameters(config: GraphConfig) -> dict[str, Any]:
@@ -142,18 +147,18 @@ def precise_parameters(config: GraphConfig) -> dict[str, Any]:
     each integration's own phase is taken, with the noise bandwidth of an integration.
     """
     tracker = config.parameters.get("tracker", {})
+    name, default = ("aided", 8.0) if config.aiding else ("pll", 15.0)
+    bandwidth_hz = float(tracker.get(f"{name}_bandwidth_hz", default))
+    base = {"wait_base": config.base, "rtk_bandwidth_hz": bandwidth_hz}
     if config.aiding == "fusion":
         integration_ms = float(tracker.get("integration_ms", 20))
         return {
             "loop_bandwidth_hz": 500.0 / integration_ms,
             "wait_motion": True,
             "add_discriminator": True,
+            **base,
         }
-    name, default = ("aided", 8.0) if config.aiding else ("pll", 15.0)
-    return {
-        "loop_bandwidth_hz": float(tracker.get(f"{name}_bandwidth_hz", default)),
-        "wait_motion": False,
-    }
+    return {"loop_bandwidth_hz": bandwidth_hz, "wait_motion": False, **base}
 
 
 def topic_type(topic: str) -> tuple[str, str]:
@@ -196,8 +201,12 @@ def build_graph(config: GraphConfig) -> list[NodeSpec]:
             "deepseis_pvt",
             "pvt",
             "pvt",
-            ("gnss/observations", "gnss/pvt", "gnss/fix", "gnss/precise", "/diagnostics"),
-            (*_epoch_topics(config.satellites), "gnss/ephemeris", *_motion_topics(config)),
+            (
+                *("gnss/observations", "gnss/pvt", "gnss/fix", "gnss/precise"),
+                *(["gnss/rtk"] * config.base),
+                "/diagnostics",
+            ),
+            (*_epoch_topics(config.satellites), "gnss/ephemeris", *_witnesses(config)),
             "pvt",
             {
                 "satellites": satellites,
@@ -212,6 +221,8 @@ def build_graph(config: GraphConfig) -> list[NodeSpec]:
         nodes.append(_truth_aiding(config))
     if config.aiding == "fusion":
         nodes += _inertial(config)
+    if config.base:
+        nodes.append(_base(config))
     source = NodeSpec(
         "if_source",
         "deepseis_frontend",
@@ -296,6 +307,19 @@ def _inertial(config: GraphConfig) -> list[NodeSpec]:
         {"sample_rate_hz": config.sample_rate_hz},
     )
     return [imu_source, motion_state, fusion, events]
+
+
+def _base(config: GraphConfig) -> NodeSpec:
+    return NodeSpec(
+        "base_source",
+        "deepseis_frontend",
+        "base_source",
+        "base_source",
+        ("base/observations", "/diagnostics"),
+        (),
+        "base_source",
+        {"file": config.source["file"]},
+    )
 
 
 def _recorder(config: GraphConfig, others: list[NodeSpec]) -> NodeSpec:

@@ -18,11 +18,16 @@ from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_core.sample_clock import SampleClock, utc_ns_from_iso
 from deepseis_core.types import Aiding, IfBlock, Observations, Pvt
 from deepseis_frontend.if_open import open_source
+from deepseis_frontend.nodes.base_bag import BaseBag
 from deepseis_pvt.assisted_start import assistance_of
+from deepseis_pvt.ephemeris_book import EphemerisBook
 from deepseis_pvt.observables import ObservablesConfig
 from deepseis_pvt.phase_displacement import PhaseConfig
-from deepseis_pvt.precise import PhasePositions, PreciseConfig, phase_positions
+from deepseis_pvt.precise import PreciseConfig
+from deepseis_pvt.precise_rtk import BaseConfig
+from deepseis_pvt.precise_set import PrecisePositions, precise_positions
 from deepseis_pvt.pvt_engine import PvtConfig, PvtEngine
+from deepseis_pvt.rtk import RtkConfig
 from deepseis_pvt.spp import SppConfig
 from deepseis_pvt.still_reference import ReferenceConfig
 from deepseis_tracking.acquisition import AcquisitionConfig
@@ -111,14 +116,9 @@ class OfflineChain:
         self.pvt.assist(
             assistance_of(known.get("position_ecef", ()), self.clock, troposphere=troposphere)
         )
-        self.precise = phase_positions(
-            known.get("position_ecef", ()),
-            self.pvt.book,
-            _pick(PreciseConfig, known),
-            _pick(PhaseConfig, known),
-            _pick(ReferenceConfig, known),
-            _pick(SppConfig, known),
-        )
+        self.precise = _precise(config, known, self.pvt.book)
+        self._base = iter(BaseBag(chosen.file).epochs() if config.base else ())
+        self._next_base = next(self._base, None)
         self.inertial: InertialChain | None = None
         if config.aiding == "fusion":
             self.inertial = InertialChain(chosen.file, self.clock, config.parameters, _pick)
@@ -136,6 +136,7 @@ class OfflineChain:
                 self.tracking.push_aiding(aiding)
             last = block.sample_index + block.sample_count - 1
             yield from self._fused(last)
+            yield from self._based(last)
             yield from self._search()
             output = self.tracking.advance()
             assert output is not None, f"waits for {self.tracking.waiting_for()}"
@@ -151,11 +152,18 @@ class OfflineChain:
             yield Output(topic, value, utc_ns)
             if topic == "aiding/doppler":
                 self.tracking.push_aiding(value)
-            if topic == "motion/state" and self.precise is not None:
+            if topic == "motion/state":
                 self.precise.push_motion(value)
-        if self.precise is not None:
-            self.precise.motion_valid(self.inertial.motion.valid_through)
-            self.pvt.allowed_through = self.precise.allowed_through
+        self.precise.motion_valid(self.inertial.motion.valid_through)
+
+    def _based(self, through: int) -> Iterator[Output]:
+        """Play the base through a sample; then epochs may go as far as their inputs do."""
+        while self._next_base is not None and self._next_base.sample_index <= through:
+            epoch, self._next_base = self._next_base, next(self._base, None)
+            yield Output("base/observations", epoch, _utc_ns(epoch))
+            self.precise.push_base(epoch)
+        self.precise.base_valid(through)
+        self.pvt.allowed_through = self.precise.allowed_through
 
     def _search(self) -> Iterator[Output]:
         engine = self.acquisition
@@ -198,15 +206,33 @@ class OfflineChain:
 
 
 def _solved(
-    observations: Observations, pvt: Pvt | None, precise: PhasePositions | None
+    observations: Observations, pvt: Pvt | None, precise: PrecisePositions
 ) -> Iterator[Output]:
-    utc_ns = GpsTime(observations.week, observations.tow_ns).to_utc_ns()
+    utc_ns = _utc_ns(observations)
     yield Output("gnss/observations", observations, utc_ns)
     if pvt is not None:
         yield Output("gnss/pvt", pvt, utc_ns)
         yield Output("gnss/fix", pvt, utc_ns)
-    if precise is not None:
-        yield Output("gnss/precise", precise.solve(observations), utc_ns)
+    for topic, value in precise.solve(observations):
+        yield Output(topic, value, utc_ns)
+
+
+def _utc_ns(observations: Observations) -> int:
+    return GpsTime(observations.week, observations.tow_ns).to_utc_ns()
+
+
+def _precise(config: GraphConfig, given: Any, book: EphemerisBook) -> PrecisePositions:
+    return precise_positions(
+        given.get("position_ecef", ()),
+        book,
+        config.sample_rate_hz,
+        _pick(PreciseConfig, given),
+        _pick(PhaseConfig, given),
+        _pick(ReferenceConfig, given),
+        _pick(SppConfig, given),
+        _pick(RtkConfig, given),
+        _pick(BaseConfig, given),
+    )
 
 
 def _pvt_engine(config: GraphConfig, given: Any) -> PvtEngine:
@@ -260,6 +286,8 @@ def encode(output: Output) -> bytes:
         "gnss/observations": codecs.OBSERVATIONS,
         "gnss/pvt": codecs.PVT,
         "gnss/precise": codecs.PRECISE_POSITION,
+        "gnss/rtk": codecs.PRECISE_POSITION,
+        "base/observations": codecs.OBSERVATIONS,
         "aiding/doppler": codecs.DOPPLER_AIDING,
         "motion/state": codecs.MOTION_STATE,
         "seismo/event": codecs.SEISMIC_EVENT,

@@ -14,6 +14,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
+from deepseis_bringup.base import base_position, has_base
 from deepseis_bringup.graph import ALL_SATELLITES, GraphConfig, build_graph
 from deepseis_bringup.inertial import assistance, has_imu, inertial_parameters
 from deepseis_bringup.run_records import input_hash, recorded_run, versions, with_records
@@ -57,6 +58,7 @@ class RunOptions:
     record: bool = True
     record_if: bool = True
     aiding: str = ""
+    base: bool = False
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     timeout: float | None = None
 
@@ -244,6 +246,7 @@ def graph_config(
         mode=options.mode,
         one_process=options.one_process,
         aiding=options.aiding,
+        base=options.base,
         record_dir=str((folder / "bag").resolve()) if options.record else "",
         record_if=options.record_if,
         output_dir=str(folder.resolve()),
@@ -290,6 +293,9 @@ def replay(
         options = replace(options, aiding="fusion" if described else "")
     satellites = recorded.satellites if options.satellites == ALL_SATELLITES else ()
     known = assistance(bag) if options.aiding == "fusion" else {}
+    with_base = has_base(bag)
+    if with_base and "pvt" in known and (place := base_position(bag)):
+        known["pvt"]["base_position_ecef"] = place
     layers = (known, recorded.parameters, options.parameters)
     kinds = {kind for layer in layers for kind in layer}
     options = replace(
@@ -299,6 +305,10 @@ def replay(
             kind: {name: value for layer in layers for name, value in layer.get(kind, {}).items()}
             for kind in sorted(kinds)
         },
+    )
+    places = {"position_ecef", "base_position_ecef"}
+    options = replace(
+        options, base=with_base and places <= options.parameters.get("pvt", {}).keys()
     )
     figures = run_recording(Selection(str(bag)), folder, options)
     with console.status("writing the report"):

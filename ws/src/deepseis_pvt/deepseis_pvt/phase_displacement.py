@@ -41,7 +41,11 @@ INTEGRATION: Final = 0.02
 
 @dataclass(frozen=True)
 class PhaseConfig:
-    """Settings of the displacement from phases."""
+    """Settings of the displacement from phases.
+
+    What biases do is what real satellites show over a still antenna (`docs/positioning.md`): most
+    of it are the satellites' clocks. Simulated ones of the bench have none of it.
+    """
 
     phase_mask_deg: float = setting(10.0, "elevation mask [deg]", low=0.0, high=60.0)
     loop_bandwidth_hz: float = setting(
@@ -50,16 +54,12 @@ class PhaseConfig:
     phase_floor_sd: float = setting(
         0.0003, "phase noise besides the thermal one, at the zenith [m]", low=0.0, high=0.05
     )
-    bias_walk: float = setting(
-        0.0002, "random walk of biases, at the zenith [m/sqrt(s)]", low=0.0, high=0.1
+    bias_walk: float = setting(0.0008, "random walk of biases [m/sqrt(s)]", low=0.0, high=0.1)
+    bias_rate_sd: float = setting(0.0004, "rate of biases, at the zenith [m/s]", low=0.0, high=0.1)
+    bias_rate_memory_s: float = setting(
+        30.0, "correlation time of that rate [s]", low=1.0, high=1e5
     )
-    bias_rate_sd: float = setting(
-        0.0002, "rate of biases before it is calibrated, at the zenith [m/s]", low=0.0, high=0.1
-    )
-    bias_rate_walk: float = setting(
-        3e-6, "random walk of rates, at the zenith [m/s/sqrt(s)]", low=0.0, high=0.01
-    )
-    calibration_s: float = setting(5.0, "stillness before displacements count [s]", low=0.1)
+    calibration_s: float = setting(3.0, "stillness before displacements count [s]", low=0.1)
     phase_false_alarm: float = setting(
         1e-5, "of the outlier test, per epoch [-]", low=1e-12, high=0.1
     )
@@ -67,6 +67,13 @@ class PhaseConfig:
     noise_memory_s: float = setting(
         10.0, "memory of the noise level that residuals show [s]", low=0.1, high=1e4
     )
+
+    def variance(self, cn0_dbhz: FloatArray, elevation: FloatArray) -> FloatArray:
+        """Return the variance of phases' noise [m^2]."""
+        cn0 = 10.0 ** (cn0_dbhz / 10.0)
+        thermal = self.loop_bandwidth_hz / cn0 * (1.0 + 0.5 / (INTEGRATION * cn0))
+        floor = (self.phase_floor_sd / np.sin(elevation)) ** 2
+        return np.asarray(WAVELENGTH_RAD**2 * thermal + floor)
 
 
 @dataclass(frozen=True)
@@ -145,6 +152,8 @@ class PhaseDisplacement:
         Variance of the phases as residuals show it, over that of the model [-], at least 1.
     calibrated : float
         Stillness so far [s].
+    at_rest : bool
+        At the last epoch the antenna was where ``reference`` says.
     """
 
     def __init__(
@@ -155,8 +164,8 @@ class PhaseDisplacement:
         self.state: FloatArray = np.zeros(2 * SLOTS)
         self.P: FloatArray = np.zeros((2 * SLOTS, 2 * SLOTS))
         self.reference = reference or StillReference()
-        self.noise_level, self.calibrated = 1.0, 0.0
-        self._walk: FloatArray = np.zeros(SLOTS)
+        self.noise_level, self.calibrated, self.at_rest = 1.0, 0.0, False
+        self._growth: FloatArray = np.zeros(SLOTS)
         self._seen: FloatArray = np.full(SLOTS, -np.inf)
         self._broken: NDArray[np.bool_] = np.zeros(SLOTS, np.bool_)
         self._time: float | None = None
@@ -182,7 +191,7 @@ class PhaseDisplacement:
             The antenna does not move, as far as others than the phases know.
         """
         dt = self._drift(epoch)
-        noise = self.noise_level * self._noise(epoch)
+        noise = self.noise_level * self.config.variance(epoch.cn0_dbhz, epoch.elevation)
         gap = epoch.time - self._seen[epoch.slot]
         self._broken[epoch.slot] |= epoch.slipped | (epoch.lock_time < gap - 0.5 * epoch.interval)
         known = np.isfinite(gap) & ~self._broken[epoch.slot]
@@ -191,9 +200,9 @@ class PhaseDisplacement:
         solution = None
         if free is not None:
             solution = self._solution(epoch, free, refused, noise)
-        at_reference = self._is_at_reference(epoch.time, still, solution)
-        self._calibrate(epoch, innovation, noise, known & ~refused, free, at_reference)
-        self.calibrated += dt if at_reference and self.members.size >= CLOCK + 1 else 0.0
+        self.at_rest = self._is_at_reference(epoch.time, still, solution)
+        self._calibrate(epoch, innovation, noise, known & ~refused, free, self.at_rest)
+        self.calibrated += dt if self.at_rest and self.members.size >= CLOCK + 1 else 0.0
         return solution
 
     def _is_at_reference(self, time: float, still: bool, solution: PhaseSolution | None) -> bool:
@@ -209,23 +218,15 @@ class PhaseDisplacement:
         self._time = epoch.time
         c = self.config
         growth = 1.0 / np.sin(epoch.elevation) ** 2
-        self._walk[epoch.slot] = growth
+        self._growth[epoch.slot] = growth
         if dt > 0.0:
             kernels.propagate(
-                self.state, self.P, self.members, c.bias_walk**2 * self._walk,
-                c.bias_rate_walk**2 * self._walk, dt,
+                self.state, self.P, self.members, c.bias_walk**2,
+                c.bias_rate_sd**2 * self._growth, c.bias_rate_memory_s, dt,
             )  # fmt: skip
         for slot in self.members[epoch.time - self._seen[self.members] > LONGEST_GAP]:
             self._forget(int(slot))
         return dt
-
-    def _noise(self, epoch: PhaseEpoch) -> FloatArray:
-        """Return the variance of the phases by the model [m^2]."""
-        c = self.config
-        cn0 = 10.0 ** (epoch.cn0_dbhz / 10.0)
-        thermal = c.loop_bandwidth_hz / cn0 * (1.0 + 0.5 / (INTEGRATION * cn0))
-        floor = (c.phase_floor_sd / np.sin(epoch.elevation)) ** 2
-        return WAVELENGTH_RAD**2 * thermal + floor
 
     def _fit(
         self, epoch: PhaseEpoch, y: FloatArray, noise: FloatArray, good: NDArray[np.bool_],
@@ -284,8 +285,7 @@ class PhaseDisplacement:
         covariance[:3, :3] += self.reference.covariance
         residual = np.full(len(refused), np.nan)
         residual[found.rows] = found.residual
-        walk = self.config.bias_walk**2 * self._walk[epoch.slot[found.rows]]
-        drift = float((found.G[CLOCK] ** 2) @ walk)
+        drift = self.config.bias_walk**2 * float((found.G[CLOCK] ** 2).sum())
         return PhaseSolution(
             displacement=found.x[:3].copy(),
             clock=float(found.x[CLOCK]),
@@ -358,7 +358,7 @@ class PhaseDisplacement:
                 rate = SLOTS + slot
                 self.state[rate] = 0.0
                 self.P[rate, :] = self.P[:, rate] = 0.0
-                self.P[rate, rate] = (self.config.bias_rate_sd**2) * self._walk[slot]
+                self.P[rate, rate] = (self.config.bias_rate_sd**2) * self._growth[slot]
             self.state[slot] = bias[k]
             row = rows[k].copy()
             row[slots] = 0.0

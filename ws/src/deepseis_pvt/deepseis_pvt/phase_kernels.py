@@ -75,30 +75,32 @@ def phase_residuals(
 
 @njit(cache=True, nogil=True)
 def propagate(
-    state: FloatArray, P: FloatArray, members: IntArray, walk: FloatArray, rate_walk: FloatArray,
-    dt: float,
+    state: FloatArray, P: FloatArray, members: IntArray, walk: float, rate_variance: FloatArray,
+    memory: float, dt: float,
 ) -> None:  # fmt: skip
-    """Let the biases drift for ``dt`` seconds: rate and random walk, and the rate's own.
+    """Let the biases drift for ``dt`` seconds: a random walk, and rates that are forgotten.
 
-    ``members`` are the slots in use, ``walk`` [m^2/s] and ``rate_walk`` [m^2/s^3] the spectral
-    densities of each slot.
+    ``members`` are the slots in use, ``walk`` [m^2/s] the walk's spectral density; rates are
+    first-order Gauss-Markov, of ``rate_variance`` [m^2/s^2] in each slot, correlated over
+    ``memory`` [s], which ``dt`` is short of.
     """
-    slots = len(walk)
+    slots = len(rate_variance)
+    keep = np.exp(-dt / memory)
     for i in members:
         state[i] += dt * state[slots + i]
+        state[slots + i] *= keep
         for j in members:
             both = P[i, slots + j] + P[slots + i, j]
             P[i, j] += dt * (both + dt * P[slots + i, slots + j])
     for i in members:
         for j in members:
-            P[i, slots + j] += dt * P[slots + i, slots + j]
+            P[i, slots + j] = keep * (P[i, slots + j] + dt * P[slots + i, slots + j])
     for i in members:
         for j in members:
             P[slots + j, i] = P[i, slots + j]
-        P[i, i] += walk[i] * dt + rate_walk[i] * dt**3 / 3.0
-        P[i, slots + i] += rate_walk[i] * dt**2 / 2.0
-        P[slots + i, i] = P[i, slots + i]
-        P[slots + i, slots + i] += rate_walk[i] * dt
+            P[slots + i, slots + j] *= keep * keep
+        P[i, i] += walk * dt
+        P[slots + i, slots + i] += rate_variance[i] * (1.0 - keep * keep)
 
 
 @njit(cache=True, nogil=True)

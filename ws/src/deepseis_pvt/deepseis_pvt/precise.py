@@ -46,7 +46,7 @@ NO_IONOSPHERE: Final = np.zeros(8)
 
 @dataclass(frozen=True)
 class PreciseConfig:
-    """Who tells of the antenna's rest."""
+    """Whom precise positions wait for, and who tells of the antenna's rest."""
 
     wait_motion: bool = setting(
         False, "an IMU does: wait for motion/state at every epoch, and calibrate at rest"
@@ -56,6 +56,7 @@ class PreciseConfig:
         "add what the loops' discriminators say of each phase: more noise, white, and no lag;"
         " phases of aided loops alone follow their aiding",
     )
+    wait_base: bool = setting(False, "wait for base/observations at every epoch")
     still_until_s: float = setting(
         0.0,
         "otherwise: still for that long after the first epoch, then never; 0: as phases tell [s]",
@@ -101,6 +102,11 @@ class PhasePositions:
     def allowed_through(self) -> int:
         """Last sample whose epoch may be solved: stillness is decided there."""
         return self._motion_valid if self.witnessed else EVER
+
+    @property
+    def rest(self) -> FloatArray | None:
+        """Where the antenna rested at the last epoch, east, north, up [m]; None: it moves."""
+        return self.filter.reference.position if self.filter.at_rest else None
 
     @property
     def statistics(self) -> dict[str, int]:

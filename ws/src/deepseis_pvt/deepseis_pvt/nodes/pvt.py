@@ -29,14 +29,17 @@ from deepseis_msgs.msg import Observations, PrecisePosition, Pvt, Watermark
 from deepseis_pvt.assisted_start import assistance_of
 from deepseis_pvt.observables import ObservablesConfig
 from deepseis_pvt.phase_displacement import PhaseConfig
-from deepseis_pvt.precise import PreciseConfig, phase_positions
+from deepseis_pvt.precise import PreciseConfig
+from deepseis_pvt.precise_rtk import BaseConfig
+from deepseis_pvt.precise_set import PHASE_TOPIC, RTK_TOPIC, precise_positions
 from deepseis_pvt.products import RinexProducts
 from deepseis_pvt.pvt_engine import PvtConfig, PvtEngine
 from deepseis_pvt.rinex_obs import RinexStation
+from deepseis_pvt.rtk import RtkConfig
 from deepseis_pvt.spp import SppConfig
 from deepseis_pvt.still_reference import ReferenceConfig
 
-MOTION = "motion_state"
+MOTION, BASE = "motion_state", "base_source"
 IN_FLIGHT_S = 0.04
 """Realtime: what the newest satellite is ahead of others that are not late [s]."""
 
@@ -58,9 +61,9 @@ class NodeConfig:
 
 
 class PvtNode(Node):
-    """In: tracking/<sat>/epochs, gnss/ephemeris, motion/state.
+    """In: tracking/<sat>/epochs, gnss/ephemeris, motion/state, base/observations.
 
-    Out: gnss/observations, gnss/pvt, gnss/fix, gnss/precise.
+    Out: gnss/observations, gnss/pvt, gnss/fix, gnss/precise, gnss/rtk.
     """
 
     def __init__(self, process: Process) -> None:
@@ -71,6 +74,7 @@ class PvtNode(Node):
         observables, spp = declare(self, ObservablesConfig), declare(self, SppConfig)
         precise, phase = declare(self, PreciseConfig), declare(self, PhaseConfig)
         reference = declare(self, ReferenceConfig)
+        rtk, base = declare(self, RtkConfig), declare(self, BaseConfig)
         reject_unknown(self)
         config, self.troposphere = self.config, spp.troposphere
         try:
@@ -87,11 +91,20 @@ class PvtNode(Node):
         if config.output_dir:
             station = RinexStation(name=config.station_name)
             self.products = RinexProducts(config.output_dir, station)
-        self.precise = phase_positions(
-            config.position_ecef, self.engine.book, precise, phase, reference, spp
+        self.precise = precise_positions(
+            config.position_ecef,
+            self.engine.book,
+            config.sample_rate_hz,
+            precise,
+            phase,
+            reference,
+            spp,
+            rtk,
+            base,
         )
-        self.motion = CountedInput()
-        self.members = [*config.trackers, *([MOTION] * precise.wait_motion)]
+        followed = [*([MOTION] * precise.wait_motion), *([BASE] * precise.wait_base)]
+        self.witnesses = {name: CountedInput() for name in followed}
+        self.members = [*config.trackers, *followed]
         self.load_navigation()
         self.clock: SampleClock | None = None
         self.positions = self.ephemerides = self.precise_positions = 0
@@ -100,7 +113,7 @@ class PvtNode(Node):
         self.observations = publish_on("gnss/observations", Observations, qos.STREAM)
         self.pvt = publish_on("gnss/pvt", Pvt, qos.STREAM)
         self.fix = publish_on("gnss/fix", NavSatFix, qos.STREAM)
-        self.displacement = publish_on("gnss/precise", PrecisePosition, qos.STREAM)
+        self.displacement = {PHASE_TOPIC: publish_on(PHASE_TOPIC, PrecisePosition, qos.STREAM)}
         self.diagnostics = publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
         for satellite in config.satellites:
             topic = f"tracking/{satellite}/epochs"
@@ -108,6 +121,9 @@ class PvtNode(Node):
         subscribe(self, codecs.EPHEMERIS, "gnss/ephemeris", self.on_ephemeris, qos.LATCHED)
         if precise.wait_motion:
             subscribe(self, codecs.MOTION_STATE, "motion/state", self.on_motion, qos.LATCHED)
+        if precise.wait_base:
+            self.displacement[RTK_TOPIC] = publish_on(RTK_TOPIC, PrecisePosition, qos.STREAM)
+            subscribe(self, codecs.OBSERVATIONS, "base/observations", self.on_base, qos.STREAM)
         self.flow.follow(self.members, self.on_watermark)
         if not self.flow.lockstep:
             self.create_timer(0.02, self.on_deadline)
@@ -142,16 +158,22 @@ class PvtNode(Node):
 
     def on_motion(self, state: MotionState, _utc_ns: int) -> None:
         """Take a decision on motion."""
-        if self.precise is not None:
-            self.precise.push_motion(state)
-        self.motion.received()
+        self.precise.push_motion(state)
+        self.witnesses[MOTION].received()
+        self.work()
+        self.finish_if_ended()
+
+    def on_base(self, observations: ObservationsValue, _utc_ns: int) -> None:
+        """Take an epoch of the base."""
+        self.precise.push_base(observations)
+        self.witnesses[BASE].received()
         self.work()
         self.finish_if_ended()
 
     def on_watermark(self, msg: Watermark) -> None:
-        """Take how far motion is decided, and look whether the stream has ended."""
-        if msg.node == MOTION:
-            self.motion.announced(msg.event_count, msg.valid_through)
+        """Take how far motion and base are valid, and look whether the stream has ended."""
+        if msg.node in self.witnesses:
+            self.witnesses[msg.node].announced(msg.event_count, msg.valid_through)
             self.work()
         self.finish_if_ended()
 
@@ -161,7 +183,7 @@ class PvtNode(Node):
         ended = all(n in others and others[n].end_of_stream for n in self.members)
         if not (ended and self.members) or self.flow.ended:
             return
-        if MOTION in others and self.motion.valid_through < others[MOTION].valid_through:
+        if any(w.valid_through < others[n].valid_through for n, w in self.witnesses.items()):
             return
         self.work(self.engine.newest_sample())
         self.flow.finish()
@@ -179,9 +201,11 @@ class PvtNode(Node):
     def work(self, force_through: int | None = None) -> None:
         """Work through all epochs that the watermarks allow and publish, the watermark last."""
         before = self.engine.worked_through
-        if self.precise is not None:
-            self.precise.motion_valid(self.motion.valid_through)
-            self.engine.allowed_through = self.precise.allowed_through
+        if MOTION in self.witnesses:
+            self.precise.motion_valid(self.witnesses[MOTION].valid_through)
+        if BASE in self.witnesses:
+            self.precise.base_valid(self.witnesses[BASE].valid_through)
+        self.engine.allowed_through = self.precise.allowed_through
         for epoch in self.engine.steps(force_through):
             if epoch is not None:
                 self.publish(*epoch)
@@ -207,10 +231,10 @@ class PvtNode(Node):
             self.positions += 1
             self.pvt.publish(codecs.PVT.encode(pvt, utc_ns))
             self.fix.publish(encode_message(fix_from_pvt(pvt, utc_ns)))
-        if self.precise is not None:
-            self.precise_positions += 1
-            value = self.precise.solve(observations)
-            self.displacement.publish(codecs.PRECISE_POSITION.encode(value, utc_ns))
+        for topic, value in self.precise.solve(observations):
+            self.precise_positions += topic == PHASE_TOPIC
+            if topic in self.displacement:
+                self.displacement[topic].publish(codecs.PRECISE_POSITION.encode(value, utc_ns))
         if self.products is not None:
             self.products.write(observations, pvt)
 
@@ -224,7 +248,7 @@ class PvtNode(Node):
     def report(self, utc_ns: int) -> None:
         """Publish the counters."""
         counts = self.engine.statistics
-        counts |= self.precise.statistics if self.precise is not None else {}
+        counts |= self.precise.statistics
         text = f"{counts['positions']} positions" if self.engine.clock else "no fix yet"
         level = diagnostics.OK if self.engine.clock and not counts["forced"] else diagnostics.WARN
         self.diagnostics.publish(diagnostics.encoded("pvt", level, text, counts, utc_ns))
