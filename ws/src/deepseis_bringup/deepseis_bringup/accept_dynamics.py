@@ -24,15 +24,23 @@ def shaken_oscillator(work: Work) -> None:
         outcome = work.run(scene, loop)
         scenario = f"sine-1hz, oscillator-on-table, {loop.name}, {text}"
         common = [
-            float(np.sqrt(max(item.error_rms**2 - item.own_rms**2, 0.0)))
+            float(np.sqrt(np.maximum(item.error_rms**2 - item.own_rms**2, 0.0)))
             for item in outcome.moving
         ]
+        of = float(len(outcome.moving))
         work.acceptance.add(
+            Row("oscillator on the table", scenario, "satellites held without slip", "-",
+                float(outcome.held()), goal=Goal.at_least(of) if known else None, limit=of),
             Row("oscillator on the table", scenario, "common phase error, all satellites", "deg",
-                pooled(common)),
+                _or_lost(pooled(common))),
             Row("oscillator on the table", scenario, "true phase error / thermal limit", "-",
-                pooled(outcome.ratios()), limit=1.0),
+                _or_lost(pooled(outcome.ratios())), limit=1.0),
         )  # fmt: skip
+
+
+def _or_lost(value: float) -> float | str:
+    """Return a figure, or what not a number means: a satellite's phase was never locked."""
+    return value if np.isfinite(value) else "lost"
 
 
 def high_dynamics(work: Work) -> None:
