@@ -16,7 +16,7 @@ CASES = [(0.0047, 0.0057, 300.0), (0.0107, 0.0150, 300.0), (0.005, 0.02, 20.0), 
 
 
 @pytest.mark.parametrize(
-    ("white", "drift", "time", "rate_hz"), [*((*case, 1) for case in CASES), (*CASES[2], 10)]
+    ("white", "drift", "time", "rate_hz"), [*((*case, 1) for case in CASES), (*CASES[2], 50)]
 )
 def test_the_smoother_reaches_the_limit_and_no_more(white, drift, time, rate_hz):
     """Covariance in the middle of a long record, with the displacement free at the start.
