@@ -38,6 +38,7 @@ from deepseis_ins.filter_steps import (
     antenna_ecef,
 )
 from deepseis_ins.fusion_config import FusionConfig
+from deepseis_ins.fusion_smoother import Carried, FusionSmoother
 from deepseis_ins.gnss_epochs import Epoch, PreciseEpoch, has_position
 from deepseis_ins.gnss_offset import GnssOffsets
 from deepseis_ins.gnss_updates import GnssUpdates
@@ -45,10 +46,11 @@ from deepseis_ins.imu_history import ImuHistory
 from deepseis_ins.loose import LooseFilter
 from deepseis_ins.motion_timeline import MotionTimeline
 from deepseis_ins.oscillator_terms import OscillatorTerms
-from deepseis_ins.strapdown import NavState
+from deepseis_ins.strapdown import NavState, Trajectory
 
 Taken = TypeVar("Taken", Pvt, PreciseEpoch)
 
+SAME_MOMENT_S: Final = 1e-9
 FIRST_INTERVAL_S: Final = 0.1
 """Before the first epoch of GNSS, as if there were one before [s]."""
 
@@ -101,6 +103,10 @@ class DelayedFilter:
         self._kept = round(config.undo_s * sample_rate_hz)
         self._pvts: list[Pvt] = []
         self._precise: list[PreciseEpoch] = []
+        self.smoother: FusionSmoother | None = None
+        if config.smoothing_lag_s > 0.0:
+            self.smoother = FusionSmoother(config.smoothing_lag_s, history.dt)
+        self._carried: list[Trajectory] = []
         start = history.sample_index(row)
         self._steps = [self._snapshot(start, POSITION)]
 
@@ -180,6 +186,8 @@ class DelayedFilter:
         while len(self._steps) > 1 and self._steps[-1].sample_index >= sample_index:
             del self._steps[-1]
         step = self._steps[-1]
+        if self.smoother is not None:
+            self.smoother.rewind(self._moment(step.sample_index, step.kind) + SAME_MOMENT_S)
         self.filter.restore(step.filter)
         self.row, self.rest = step.row, step.rest
         self.offsets, self.place_n = step.offsets, step.place_n
@@ -191,6 +199,7 @@ class DelayedFilter:
         updates = []
         while (due := self._next(horizon)) is not None:
             sample, kind, epoch = due
+            first = self.row + 1
             self._carry(self.history.number_at(sample))
             still = self._settle(sample)
             if epoch is not None and self.oscillator is not None:
@@ -200,6 +209,7 @@ class DelayedFilter:
                 updates += [] if update is None else [update]
             elif still:
                 self._constrain()
+            self._hand_over(first, sample, kind)
             self._steps.append(self._snapshot(sample, kind))
         self._forget(horizon)
         return updates
@@ -227,11 +237,28 @@ class DelayedFilter:
         history = self.history
         begin, end = self.row + 1, row + 1
         angle, velocity = history.increments(begin, end)
-        self.filter.propagate(angle, velocity, history.dt)
+        self._carried = [self.filter.propagate(angle, velocity, history.dt)]
         walk2, turn2 = history.unknown(begin, end)
         if walk2 or turn2:
             self.filter.widen(velocity_sd=walk2**0.5, attitude_sd=turn2**0.5)
         self.row = row
+
+    def _hand_over(self, first: int, sample_index: int, kind: int) -> None:
+        """Give the smoother what came since the step before: rows from ``first``."""
+        if self.smoother is None:
+            return
+        rows = np.arange(first, self.row + 1)
+        index = np.array([self.history.sample_index(int(row)) for row in rows], np.int64)
+        track = Carried(index, np.zeros((0, 3)), np.zeros((0, 3)))
+        if len(rows):
+            (got,) = self._carried
+            track = Carried(index, got.geodetic, got.vel_n)
+        moment = self._moment(sample_index, kind)
+        self.smoother.push(moment, self.filter.take_steps(), track, self.beside())
+
+    def _moment(self, sample_index: int, kind: int) -> float:
+        """Return a step's time, later for later kinds of the same sample [s]."""
+        return sample_index / self.sample_rate_hz + 10.0 * SAME_MOMENT_S * kind
 
     def _settle(self, sample_index: int) -> bool:
         """Begin or end a rest where it begins or ends; return whether the station is at rest."""

@@ -45,6 +45,9 @@ class FusionConfig:
         2e-3, "zero displacement since then [m]", low=1e-5, high=10.0
     )
     undo_s: float = setting(3.0, "so much can still be taken back [s]", low=0.2, high=60.0)
+    smoothing_lag_s: float = setting(
+        0.0, "smoothed motion too, so late; more than undo_s; 0: none [s]", low=0.0, high=30.0
+    )
 
     position_noise_share: float = setting(
         0.2, "position's noise as a part of its formal sigma [-]", low=0.0, high=10.0

@@ -93,6 +93,9 @@ class FusionEngine(FusionInputs):
     ) -> None:
         if not grade.has_gyros:
             raise InputError("fusion", "needs gyroscopes, this grade of IMU has none")
+        if 0.0 < config.smoothing_lag_s <= config.undo_s:
+            reason = f"is {config.smoothing_lag_s:g} s, and {config.undo_s:g} s can be undone"
+            raise InputError("smoothing_lag_s", reason, "more than undo_s, or 0")
         super().__init__(config, grade, sample_rate_hz, imu_rate_hz)
         self.config, self.grade = config, grade
         self.loose, self.site = loose or LooseConfig(), Site.of(station)
@@ -278,6 +281,10 @@ class FusionEngine(FusionInputs):
             aiding = no_aiding(SOURCE, grid)
         fused = self.ground.fused(solution, present)
         motion += () if fused is None else (fused,)
+        if delayed.smoother is not None:
+            motion += self.ground.late(
+                delayed.smoother.take(), self.timebase, self.writer, end - 1
+            )
         return FusionOutput(solution, aiding, status, late, extrapolated, motion)
 
     def _status(

@@ -142,5 +142,6 @@ def start_filter(
         velocity_sd=[config.still_velocity_sd] * 3,
         gyro_bias=bias.value,
         gyro_bias_sd=bias.sd,
+        smoothing=config.smoothing_lag_s > 0.0,
     )
     return filter, corrected

@@ -8,6 +8,8 @@ neither, and does not count in their sigmas.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from deepseis_core.gps_time import GpsTime
@@ -22,7 +24,10 @@ from deepseis_core.types import (
 )
 from deepseis_ins.antenna_motion import KnotInterpolator
 from deepseis_ins.error_state import ACCEL, ATT, VEL
+from deepseis_ins.fusion_output import SolutionWriter
 from deepseis_ins.fusion_present import Present
+from deepseis_ins.fusion_smoother import LateMotion
+from deepseis_ins.fusion_time import Timebase
 from deepseis_ins.measurement_kernels import matrix_of
 
 _TO_ENU = [1, 0, 2]
@@ -54,6 +59,7 @@ class GroundMotion:
     def __init__(self, grade: ImuGrade, interval: float, interpolator: KnotInterpolator) -> None:
         self.grade, self.interval, self.interpolator = grade, interval, interpolator
         self.origin_enu: FloatArray = np.zeros(3)
+        self._velocity: FloatArray | None = None
 
     def fused(self, solution: InsSolution, present: Present) -> Displacement | None:
         """Return the motion at a solution's epochs; None if there are none."""
@@ -77,6 +83,41 @@ class GroundMotion:
             velocity_sd=np.repeat(velocity[None], n, axis=0),
             acceleration_sd=self._acceleration_sd(solution, present),
         )
+
+    def late(
+        self, parts: Sequence[LateMotion], timebase: Timebase, writer: SolutionWriter, through: int
+    ) -> tuple[Displacement, ...]:
+        """Return the smoothed motion of some steps, each at IMU epochs, in order.
+
+        Its accelerations are differences of velocities, means of the intervals before.
+        """
+        out = []
+        for part in parts:
+            week, tow_ns = timebase.times(part.sample_index)
+            n, C = len(part.sample_index), writer.C_enu_e
+            velocity = part.velocity_ecef @ C.T
+            before = velocity[:1] if self._velocity is None else self._velocity
+            self._velocity = velocity[-1:]
+            moved = (part.position_ecef - writer.monument_ecef) @ C.T - self.origin_enu
+            sds = [_sd(P) for P in (part.position_covariance, part.velocity_covariance)]
+            noise = self.grade.accelerometers.walk / self.interval**0.5
+            out.append(
+                Displacement(
+                    source=int(DisplacementSource.FUSED),
+                    smoothed=True,
+                    valid_through=through,
+                    interval=self.interval,
+                    tow_ns=tow_ns,
+                    week=week,
+                    displacement=moved,
+                    velocity=velocity,
+                    acceleration=np.diff(velocity, axis=0, prepend=before) / self.interval,
+                    displacement_sd=np.repeat(sds[0][None], n, axis=0),
+                    velocity_sd=np.repeat(sds[1][None], n, axis=0),
+                    acceleration_sd=np.full((n, 3), noise, np.float32),
+                )
+            )
+        return tuple(out)
 
     def _acceleration_sd(self, solution: InsSolution, present: Present) -> Float32Array:
         """Return one sigma of accelerations: of tilt and bias, and the accelerometers' noise."""
