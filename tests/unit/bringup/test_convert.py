@@ -372,6 +372,38 @@ def test_a_bag_without_motion_says_so(tmp_path):
         )
 
 
+@pytest.mark.parametrize("part", [0.4, 0.97])
+def test_a_bag_that_was_cut_short_is_converted_as_far_as_it_goes(bag, tmp_path, part):
+    (whole,) = bag.glob("*.mcap")
+    cut, out, said = tmp_path / "cut.mcap", tmp_path / "out", []
+    cut.write_bytes(whole.read_bytes()[: round(part * whole.stat().st_size)])
+    out.mkdir()
+    written = convert.convert(cut, "miniseed", out, convert.ConvertOptions(), said.append)
+    assert all(path.stat().st_size for path in written)
+    assert any("cut short or damaged" in text for text in said)
+
+
+def test_a_bag_that_was_cut_before_its_first_epoch_says_so(bag, tmp_path):
+    (whole,) = bag.glob("*.mcap")
+    cut, out = tmp_path / "cut.mcap", tmp_path / "out"
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 50])
+    out.mkdir()
+    with pytest.raises(InputError, match="holds nothing for rinex"):
+        convert.convert(cut, "rinex", out, convert.ConvertOptions(), print)
+
+
+@pytest.mark.parametrize("at", [0.2, 0.9])
+def test_damage_within_a_bag_is_a_gap_and_is_said(bag, tmp_path, at):
+    (whole,) = bag.glob("*.mcap")
+    data = bytearray(whole.read_bytes())
+    data[round(at * len(data)) : round(at * len(data)) + 50] = bytes(50)
+    bad, out, said = tmp_path / "bad.mcap", tmp_path / "out", []
+    bad.write_bytes(data)
+    out.mkdir()
+    assert convert.convert(bad, "miniseed", out, convert.ConvertOptions(), said.append)
+    assert any("cut short or damaged" in text for text in said)
+
+
 def test_two_stations_in_a_bag_are_refused(tmp_path):
     write = Writer(tmp_path / "bag")
     data = codecs.STATION.encode(station(), 10**18)

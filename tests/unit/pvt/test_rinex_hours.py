@@ -13,6 +13,7 @@ from deepseis_core.errors import InputError
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.rinex_nav import format_record, read_rinex_nav
 from deepseis_core.rinex_nav4 import format_rinex_nav4
+from deepseis_pvt.products import RinexProducts
 from deepseis_pvt.rinex_hours import RinexHours
 from deepseis_pvt.rinex_obs import RinexObsWriter, RinexStation
 
@@ -129,3 +130,15 @@ def test_a_whole_hour_is_called_one(first, tmp_path):
     (path,) = hours.close()
     assert path.name == "DSEI00JPN_R_20220010200_01H_01S_GO.rnx"
     assert GpsTime(WEEK, HOUR).to_calendar()[:5] == (2022, 1, 1, 2, 0)
+
+
+def test_a_stations_products_begin_a_new_file_with_the_hour(first, tmp_path):
+    products = RinexProducts(tmp_path, RinexStation(name="DSEI00JPN"))
+    for k in range(-20, 20):
+        products.write(replace(first, week=WEEK, tow_ns=HOUR + k * 20_000_000), None)
+    products.add(sent(7, 525_606.0))
+    assert [path.name for path in products.close()] == [
+        "DSEI00JPN_R_20220010159_01M_50Z_GO.rnx",
+        "DSEI00JPN_R_20220010200_01M_50Z_GO.rnx",
+        "DSEI00JPN_R_20220010159_01M_GN.rnx",
+    ]

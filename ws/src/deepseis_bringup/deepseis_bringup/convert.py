@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from deepseis_bringup.convert_bag import ConvertBag
-from deepseis_bringup.convert_csv import CsvFolder, csv_handlers
+from deepseis_bringup.convert_csv import CsvFolder, CsvHandlers
 from deepseis_bringup.fdsn_channels import (
     NETWORK,
     Place,
@@ -220,7 +220,8 @@ def _nine_characters(station: Station | None) -> str:
 def to_csv(known: Survey, folder: Path, _options: ConvertOptions, _say: Say) -> list[Path]:
     """Write a table for each kind of value."""
     with CsvFolder(folder) as out:
-        handlers = csv_handlers(out, known.time)
-        for topic, value, utc_ns in known.bag.values(handlers):
-            handlers[topic](value, utc_ns)
+        handlers = CsvHandlers(out, known.time)
+        for topic, value, utc_ns in known.bag.values(handlers.by_topic):
+            handlers.by_topic[topic](value, utc_ns)
+        handlers.finish()
     return list(out.paths.values())

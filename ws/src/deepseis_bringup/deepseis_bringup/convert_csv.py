@@ -205,28 +205,46 @@ def displacement_name(value: Displacement) -> str:
     return f"displacement_{source}" + "_smoothed" * value.smoothed
 
 
-def csv_handlers(out: CsvFolder, time: TrueTime) -> dict[str, Callable[[Any, int], None]]:
-    """Return what takes the values of each topic, with the stamp of the message."""
+IMU_BATCH: Final = 4096
 
-    def displacement(value: Displacement, _utc_ns: int) -> None:
+
+class CsvHandlers:
+    """What takes the values of each topic, with the stamp of the message; `finish` when done."""
+
+    def __init__(self, out: CsvFolder, time: TrueTime) -> None:
+        self.out, self.time = out, time
+        self._imu: list[tuple[int, ImuSample]] = []
+        self.by_topic: dict[str, Callable[[Any, int], None]] = {
+            "seismo/displacement": self.displacement,
+            "imu/data_raw": self.imu,
+            "gnss/observations": lambda v, _: out.write(
+                "observations", "gnss/observations", observation_rows(v)
+            ),
+            "gnss/pvt": lambda v, _: out.write("positions", "gnss/pvt", [pvt_row(v)]),
+            "seismo/event": lambda v, _: out.write("events", "seismo/event", [event_row(v)]),
+            "gnss/ephemeris": lambda v, _: out.write(
+                "ephemerides", "gnss/ephemeris", [ephemeris_row(v)]
+            ),
+        }
+
+    def displacement(self, value: Displacement, _utc_ns: int) -> None:
+        """Take a batch of ground motion."""
         week_ns = GpsTime(value.week, 0).total_ns
-        gps_ns = time.of_receiver(week_ns + np.asarray(value.tow_ns, np.int64))
+        gps_ns = self.time.of_receiver(week_ns + np.asarray(value.tow_ns, np.int64))
         rows = displacement_rows(value, gps_ns)
-        out.write(displacement_name(value), "seismo/displacement", rows)
+        self.out.write(displacement_name(value), "seismo/displacement", rows)
 
-    def imu(sample: ImuSample, utc_ns: int) -> None:
-        gps_ns = int(time.of_stamps(np.array([utc_ns]))[0])
-        out.write("imu", "imu/data_raw", [imu_row(sample, gps_ns)])
+    def imu(self, sample: ImuSample, utc_ns: int) -> None:
+        """Take an IMU sample; its row follows with a batch of others."""
+        self._imu.append((utc_ns, sample))
+        if len(self._imu) >= IMU_BATCH:
+            self.finish()
 
-    return {
-        "seismo/displacement": displacement,
-        "imu/data_raw": imu,
-        "gnss/observations": lambda v, _: out.write(
-            "observations", "gnss/observations", observation_rows(v)
-        ),
-        "gnss/pvt": lambda v, _: out.write("positions", "gnss/pvt", [pvt_row(v)]),
-        "seismo/event": lambda v, _: out.write("events", "seismo/event", [event_row(v)]),
-        "gnss/ephemeris": lambda v, _: out.write(
-            "ephemerides", "gnss/ephemeris", [ephemeris_row(v)]
-        ),
-    }
+    def finish(self) -> None:
+        """Write the IMU samples that wait."""
+        if self._imu:
+            stamps = np.array([utc_ns for utc_ns, _ in self._imu], np.int64)
+            times = self.time.of_stamps(stamps).tolist()
+            samples = (sample for _, sample in self._imu)
+            self.out.write("imu", "imu/data_raw", map(imu_row, samples, times))
+        self._imu = []

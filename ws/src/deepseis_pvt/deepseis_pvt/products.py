@@ -7,11 +7,12 @@ from pathlib import Path
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.rinex_nav import rinex3_name, write_rinex_nav
 from deepseis_core.types import Ephemeris, Observations, Pvt, PvtStatus
-from deepseis_pvt.rinex_obs import RinexObsWriter, RinexStation
+from deepseis_pvt.rinex_hours import RinexHours
+from deepseis_pvt.rinex_obs import RinexStation
 
 
 class RinexProducts:
-    """RINEX observation file as the epochs come, navigation file at the end.
+    """RINEX observation files by the hour as the epochs come, navigation file at the end.
 
     Parameters
     ----------
@@ -23,7 +24,7 @@ class RinexProducts:
 
     def __init__(self, folder: str | Path, station: RinexStation) -> None:
         self.folder, self.station = Path(folder), station
-        self.observations = RinexObsWriter(folder, station)
+        self.observations = RinexHours(self.folder, station)
         self.ephemerides: dict[tuple[str, int, float], Ephemeris] = {}
         self.start: GpsTime | None = None
         self.end = GpsTime(0, 0)
@@ -43,10 +44,7 @@ class RinexProducts:
 
     def close(self) -> list[Path]:
         """Finish the files; returns those that were written."""
-        written = []
-        path = self.observations.close()
-        if path is not None:
-            written.append(path)
+        written = self.observations.close()
         if self.ephemerides and self.start is not None:
             seconds = max(1.0, self.end.diff_ns(self.start) * 1e-9)
             name = rinex3_name(self.station.name, self.start, seconds, "GN")
