@@ -14,6 +14,8 @@ from deepseis_bringup.quiet_obspy import obspy_modules
 from deepseis_bringup.ros_definitions import TopicQos
 from deepseis_core.geodesy import geodetic_from_ecef, rotation_enu_ecef
 from deepseis_core.gps_time import GpsTime
+from deepseis_core.mcap_scan import McapScan
+from deepseis_frontend.if_bag import bag_files
 from deepseis_sim import scenario as scenarios
 from deepseis_sim.motions import Circle
 from deepseis_sim.sky import SkyConfig
@@ -21,7 +23,8 @@ from deepseis_sim.sky import SkyConfig
 pytestmark = pytest.mark.slow
 
 ONSET, END = 12.0, 18.0
-TOPICS = ("station", "gnss/pvt", "motion/state", "imu/data_raw", "seismo/displacement")
+INPUTS = ("station", "imu/data_raw")
+OUTPUTS = ("gnss/pvt", "motion/state", "seismo/displacement")
 
 
 @pytest.fixture(scope="module")
@@ -37,20 +40,27 @@ def scene(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def archive(scene, tmp_path_factory):
-    """Run the chain, write its values as a bag, convert that."""
+    """Run the chain, write its inputs' and outputs' values as a bag, convert that."""
     folder = tmp_path_factory.mktemp("archive")
     config = scene.config(aided(8.0))
     records = {"parameters": {"pvt": f'{{"sample_rate_hz": {config.sample_rate_hz}}}'}}
     known = set()
+
+    def write(topic, data, utc_ns):
+        name, kind = f"/{topic}", topic_type(topic)[0]
+        if name not in known:
+            known.add(name)
+            bag.add_topic(name, kind, TopicQos(depth=10, durability="volatile"))
+        bag.write(name, kind, data, utc_ns, utc_ns)
+
     with BagWriter(folder / "bag", records) as bag:
+        for message in McapScan(bag_files(scene.bag)[0]).messages():
+            topic = message.channel.topic.lstrip("/")
+            if topic in INPUTS:
+                write(topic, bytes(message.data), message.log_time_ns)
         for output in OfflineChain(config).run():
-            if output.topic not in TOPICS:
-                continue
-            name, kind = f"/{output.topic}", topic_type(output.topic)[0]
-            if name not in known:
-                known.add(name)
-                bag.add_topic(name, kind, TopicQos(depth=10, durability="volatile"))
-            bag.write(name, kind, encode(output), output.utc_ns, output.utc_ns)
+            if output.topic in OUTPUTS:
+                write(output.topic, encode(output), output.utc_ns)
     out = folder / "out"
     out.mkdir()
     options = convert.ConvertOptions(station="DSEI")
@@ -61,7 +71,7 @@ def archive(scene, tmp_path_factory):
 @pytest.fixture(scope="module")
 def truth(scene):
     """Return true GPS times [ns] and velocity, acceleration, its rate (n, 3), east north up."""
-    with np.load(scene.folder / "truth.npz") as file:
+    with np.load(scene.bag.parent / "truth.npz") as file:
         start = GpsTime(int(file["start_week"]), int(file["start_tow_ns"])).total_ns
         shown = file["motion_t_s"]  # by the receiver's clock
         bias = np.interp(shown, file["t_s"], file["clock_bias"])

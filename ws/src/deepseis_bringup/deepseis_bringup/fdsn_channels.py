@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -159,9 +160,10 @@ _WORDS: Final = {
 }
 
 
+@cache
 def displacement_channels(
     source: int, smoothed: bool, rate_hz: float
-) -> dict[str, tuple[ChannelCode, ...]]:
+) -> Mapping[str, tuple[ChannelCode, ...]]:
     """Return the channels of a ``Displacement``, by quantity; east, north, up each.
 
     Fused acceleration is an accelerometer's, turned and freed of gravity and bias: source N

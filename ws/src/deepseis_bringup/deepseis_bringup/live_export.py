@@ -6,7 +6,7 @@ a packet, and nothing that was written.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -32,6 +32,8 @@ from deepseis_core.types import Displacement, ImuSample, IntArray, Pvt, Station
 
 RATE_STAMPS = 100
 """IMU samples whose stamps tell the rate."""
+IMU_BATCH = 10
+"""IMU samples worked through together: 50 ms of them at 200 Hz."""
 
 PacketSink = Callable[[Path, bytes], None]
 """Takes a day file's name below the archive, and whole records."""
@@ -81,7 +83,8 @@ class LiveExport:
         self._time: TrueTime = self._finder.finish()
         seconds = config.packet_ms * 1e-3
         self._series = SeriesSet(self._write, config.alias, {}, seconds)
-        self._imu = ImuGathering(batch=1, looked_at=RATE_STAMPS)
+        self._imu = ImuGathering(batch=IMU_BATCH, looked_at=RATE_STAMPS)
+        self._imu_codes: Mapping[str, tuple[ChannelCode, ...]] = {}
         self._described = 0
         self.on_motion: MotionSink | None = None
 
@@ -89,6 +92,11 @@ class LiveExport:
     def series(self) -> SeriesSet:
         """What has been exported, with its gaps."""
         return self._series
+
+    @property
+    def knows_coarse_clock(self) -> bool:
+        """Whether stamps of samples can be tied to positions."""
+        return self._finder.coarse is not None
 
     def take_station(self, station: Station) -> None:
         """Learn codes and places; the first word holds."""
@@ -130,8 +138,8 @@ class LiveExport:
         rate_hz, utc_ns, values = batch
         gps_ns = self._time.of_stamps(utc_ns) - round(0.5e9 / rate_hz)
         parts = (slice(0, 3), slice(3, 6))
-        codes = imu_channels(self.station, rate_hz)
-        for columns, (quantity, channels) in zip(parts, codes.items(), strict=True):
+        self._imu_codes = self._imu_codes or imu_channels(self.station, rate_hz)
+        for columns, (quantity, channels) in zip(parts, self._imu_codes.items(), strict=True):
             self._series.push(("imu", quantity), channels, gps_ns, values[:, columns], {})
 
     def _write(self, run: Run, channels: tuple[ChannelCode, ...]) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
 from deepseis_bringup.datalink import DataLink, address_of
@@ -22,9 +23,13 @@ from deepseis_core.ros.codecs import subscribe
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.sample_clock import SampleClock
-from deepseis_core.types import Displacement, DisplacementSource, InsSolution, Pvt, Station
+from deepseis_core.types import Displacement, DisplacementSource, Pvt, Station
+from deepseis_msgs.msg import InsSolution
 
 _BY_STAMP = SampleClock(0, 1e9)
+
+DEEP = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE)
+"""Nobody waits for the exporter: a busy machine or disk may hold it up for a minute."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +68,10 @@ class ExporterNode(Node):
         self.gdrt: GdrtSender | None = None
         self.export = LiveExport(live, None, self.put)
         subscribe(self, codecs.STATION, "station", self.on_station, qos.LATCHED)
-        subscribe(self, codecs.PVT, "gnss/pvt", self.on_pvt, qos.STREAM)
-        subscribe(self, codecs.INS_SOLUTION, "ins/solution", self.on_solution, qos.STREAM)
-        subscribe(self, codecs.DISPLACEMENT, "seismo/displacement", self.on_motion, qos.STREAM)
-        self.create_subscription(Imu, "imu/data_raw", self.on_imu, qos.STREAM, raw=True)
+        subscribe(self, codecs.PVT, "gnss/pvt", self.on_pvt, DEEP)
+        self.create_subscription(InsSolution, "ins/solution", self.on_solution, DEEP, raw=True)
+        subscribe(self, codecs.DISPLACEMENT, "seismo/displacement", self.on_motion, DEEP)
+        self.create_subscription(Imu, "imu/data_raw", self.on_imu, DEEP, raw=True)
         self.diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.STREAM)
         self.create_timer(1.0, self.report)
 
@@ -95,8 +100,11 @@ class ExporterNode(Node):
         if self.gdrt is not None:
             self.gdrt.satellites = len(pvt.satellites)
 
-    def on_solution(self, solution: InsSolution, utc_ns: int) -> None:
-        """Learn the coarse clock from the first sample's stamp."""
+    def on_solution(self, data: bytes) -> None:
+        """Learn the coarse clock from the first sample's stamp, once."""
+        if self.export.knows_coarse_clock:
+            return
+        solution, utc_ns = codecs.INS_SOLUTION.decode(data)
         if len(solution.sample_index):
             self.export.take_stamp(int(solution.sample_index[0]), utc_ns)
 
