@@ -169,7 +169,15 @@ class _Survey:
             table, "gravity-lines", f"internal coincidence of {len(line.passes)} passes", "mGal",
             agreed.total, TOTALS.get(method), goal, self.floor(method, len(line.passes)),
         )  # fmt: skip
-        return [*rows, total, *self._field_rows(method, line)]
+        before = coincidence(self.result.found[method][0].gravity).total
+        coupling = self.result.coupling[method]
+        more = [
+            Row(table, "gravity-lines", "the same before the cross-coupling is taken off", "mGal",
+                before),
+            Row(table, "gravity-lines", "cross-coupling of the force to the right",
+                "mGal/(m/s^2)", float(coupling.coefficient[1])),
+        ]  # fmt: skip
+        return [*rows, total, *more, *self._field_rows(method, line)]
 
     def floor(self, method: str, passes: int) -> float | None:
         """Return what white noise of accelerometers and velocimeter alone would leave [mGal]."""
@@ -197,7 +205,7 @@ class _Survey:
         origin = ecef_from_geodetic(np.array([start.latitude, start.longitude, start.height]))
         own = way_of(solution, origin)
         first = self.bench.gravity_disturbance(np.zeros(1))[0]
-        return Way(time, own.position, own.still, (values - first) / MGAL)
+        return Way(time, own.position, own.still, (values - first) / MGAL, own.force)
 
     def truth_mgal(self, method: str) -> FloatArray:
         """Return the filtered true field at the line's stations, mean of all passes [mGal]."""
@@ -253,13 +261,14 @@ class _Survey:
             if method not in self.result.solutions:
                 continue
             solution = self.result.solutions[method][0]
-            sd = solution.track.sd[np.isfinite(solution.track.sd[:, 0])][-1]
-            limits = float(np.hypot(sd[0], sd[1])), float(sd[2])
+            track, rest = solution.track, self.result.drives[0].rest
+            sd = track.sd[np.isfinite(track.sd[:, 0]) & (track.time > rest)]
+            limits = float(np.hypot(sd[:, 0], sd[:, 1]).max()), float(sd[:, 2].max())
             names = "horizontal", "height"
             errors = self._errors(solution)
             for name, value, known, limit in zip(names, errors, printed, limits, strict=True):
                 goal = None if known is None else Goal.at_most(known)
-                quantity = f"largest {name} error; as limit one sigma at the end"
+                quantity = f"largest {name} error; as limit its sigma"
                 rows.append(
                     Row("L figures 8, 9", f"gravity-lines, {method}", quantity, "m", value, known,
                         goal, limit)

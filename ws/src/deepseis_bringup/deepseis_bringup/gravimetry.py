@@ -20,7 +20,13 @@ from deepseis_core.imu_grades import MGAL
 from deepseis_core.rotation import quat_rotate
 from deepseis_core.types import FloatArray
 from deepseis_ins.alignment import gyro_bias, gyrocompassed, still_mean
-from deepseis_ins.gravimetry import GravityFilter, GravitySeries, gravity_series
+from deepseis_ins.gravimetry import GravityFilter, GravitySeries, gravity_series, low_pass
+from deepseis_ins.gravimetry_coupling import (
+    Coupling,
+    coupling_prior,
+    find_coupling,
+    without_coupling,
+)
 from deepseis_ins.gravimetry_lines import Line, LineConfig, Way, survey_lines
 from deepseis_ins.ldv import LdvConfig, LdvInstallation
 from deepseis_ins.ldv_calibration import LeverArm, calibrate
@@ -73,12 +79,15 @@ class Solution:
         The disturbance; level and tie: `base`.
     base : float
         Reading at the rest before the drive, taken off [m/s^2].
+    force : ndarray, shape (m, 2)
+        Specific force forward and right on the series' moments, the same low-pass [m/s^2].
     """
 
     method: str
     track: Track
     series: GravitySeries
     base: float
+    force: FloatArray
 
 
 @dataclass(frozen=True)
@@ -162,7 +171,17 @@ class Drive:
     ) -> Solution:
         series = gravity_series(time, free, outside, self.config.filter)
         base = float(series.raw[series.time < self.rest].mean())
-        return Solution(method, track, series, base)
+        return Solution(method, track, series, base, self._force(series.time))
+
+    def _force(self, time: FloatArray) -> FloatArray:
+        """Return the horizontal force through the low-pass; what it is at rest is bias."""
+        count = max(round(1.0 / self.data.dt), 1)
+        whole = self.data.delta_vel_b.shape[0] // count
+        mean = self.data.delta_vel_b[: whole * count, :2].reshape(whole, count, 2).sum(axis=1)
+        mean /= count * self.data.dt
+        middle = (np.arange(whole) + 0.5) * count * self.data.dt
+        columns = [np.interp(time, middle, mean[:, k]) for k in range(2)]
+        return np.stack([low_pass(one, self.config.filter, 1.0) for one in columns], axis=1)
 
     def _phases(self, track: Track) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """Return mean velocities between epochs: time, free, by phase; at rest zero."""
@@ -213,17 +232,22 @@ def way_of(solution: Solution, origin_ecef: FloatArray) -> Way:
     # The ellipsoid's height, not the tangent plane's.
     position[:, 2] = np.interp(series.time, track.time, track.geodetic[:, 2])
     still = np.interp(series.time, track.time, track.still.astype(np.float64)) > 0.5
-    return Way(series.time, position, still, (series.filtered - solution.base) / MGAL)
+    gravity = (series.filtered - solution.base) / MGAL
+    return Way(series.time, position, still, gravity, solution.force)
 
 
 @dataclass(frozen=True)
 class SurveyResult:
-    """What came out: solutions of every drive and method, and lines of every method [mGal]."""
+    """What came out: solutions of every drive and method, and lines of every method [mGal].
+
+    ``lines`` are rid of the cross-coupling that was found, ``found`` are as they were.
+    """
 
     drives: tuple[Drive, ...]
     solutions: dict[str, list[Solution]]
     lines: dict[str, list[Line]]
-    ways: dict[str, list[Way]]
+    found: dict[str, list[Line]]
+    coupling: dict[str, Coupling]
     calibration: Calibration | None
 
 
@@ -253,17 +277,20 @@ def work_out(
         installation = calibration.installation
     solutions: dict[str, list[Solution]] = {}
     for drive in drives:
-        found = []
+        own: list[Solution] = []
         if drive.data.ldv is not None and installation is not None:
             say(f"{drive.data.name}: {LDV}")
-            found.append(drive.by_ldv(installation))
+            own.append(drive.by_ldv(installation))
         if drive.data.gnss is not None and drive.data.gnss.fixes.time.size > 1:
             say(f"{drive.data.name}: {DOPPLER}")
-            found += drive.by_gnss()
-        for solution in found:
+            own += drive.by_gnss()
+        for solution in own:
             solutions.setdefault(solution.method, []).append(solution)
     start = drives[0].start
     origin = ecef_from_geodetic(np.array([start.latitude, start.longitude, start.height]))
     ways = {name: [way_of(item, origin) for item in items] for name, items in solutions.items()}
-    lines = {name: survey_lines(items, config.lines) for name, items in ways.items()}
-    return SurveyResult(tuple(drives), solutions, lines, ways, calibration)
+    found = {name: survey_lines(items, config.lines) for name, items in ways.items()}
+    prior, step = coupling_prior(drives[0].data.grade), 0.5 / config.filter.cutoff_hz
+    coupling = {name: find_coupling(items, prior, step) for name, items in found.items()}
+    lines = {name: without_coupling(items, coupling[name]) for name, items in found.items()}
+    return SurveyResult(tuple(drives), solutions, lines, found, coupling, calibration)

@@ -35,6 +35,10 @@ def write_files(result: SurveyResult, folder: Path) -> dict[str, Any]:
         "drives": [drive.data.name for drive in result.drives],
         "imu_grade": [drive.data.grade_name for drive in result.drives],
         "methods": {method: _figures(lines) for method, lines in result.lines.items()},
+        "coupling_mgal_per_mps2": {
+            method: [round(float(x), 3) for x in (*found.coefficient, *found.sd)]
+            for method, found in result.coupling.items()
+        },
     }
     if result.calibration is not None:
         write_installation(result.calibration.installation, folder / "installation.json")

@@ -51,19 +51,23 @@ class Way:
     still : ndarray of bool, shape (m,)
     gravity : ndarray, shape (m,)
         Disturbance [m/s^2].
+    force : ndarray, shape (m, 2)
+        Specific force forward and right through the same low-pass [m/s^2].
     """
 
     time: FloatArray
     position: FloatArray
     still: NDArray[np.bool_]
     gravity: FloatArray
+    force: FloatArray
 
 
 @dataclass(frozen=True)
 class Pass:
     """One pass at the stations of its line, n of them; not a number where it does not reach.
 
-    ``direction`` is 1 along the reference, -1 against it; ``drive`` counts the drives.
+    ``direction`` is 1 along the reference, -1 against it; ``drive`` counts the drives; ``force``,
+    (2, n), is forward and right.
     """
 
     drive: int
@@ -72,6 +76,7 @@ class Pass:
     direction: int
     gravity: FloatArray
     height: FloatArray
+    force: FloatArray
 
 
 @dataclass(frozen=True)
@@ -203,6 +208,7 @@ class _Reference:
         return Pass(
             number, float(time[0]), float(time[-1]), direction,
             at(way.gravity[part]), at(way.position[part, 2]),
+            np.array([at(way.force[part, k]) for k in range(2)]),
         )  # fmt: skip
 
 
