@@ -1,6 +1,7 @@
 """Displacement from phases against truth and theory, with satellites that slip and vanish."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -191,6 +192,29 @@ def test_unexpected_noise_is_seen_in_the_residuals_and_owned_up_to():
     sd = np.sqrt(np.diag(last.covariance - last.common)[:3])
     assert_allclose(error.std(axis=0) / sd, 1.0, atol=0.3)
     assert all(s.used.all() for s in moving)
+
+
+def test_loops_that_lag_say_so_through_their_discriminators():
+    """No residual shows what all phases lag behind alike: 10 mm east at 2 Hz."""
+    config = PhaseConfig(**WHITE, **FREE)
+    phases, rng = Phases(config, rate_hz=50.0), np.random.default_rng(4)
+    solver, sd = filter_of(config), np.full(10, 1.5 * noise_sd(config))
+
+    def solve(size, still):
+        epoch = phases.epoch()
+        behind = epoch.design[:, 0] * size * np.sin(4.0 * np.pi * phases.time)
+        lag = behind + sd * rng.normal(size=10)
+        return solver.solve(replace(epoch, residual=epoch.residual - behind, lag=(lag, sd)), still)
+
+    rest = [solve(0.0, True) for _ in range(500)]
+    assert (solver.stress == 0.0).all()
+    moving = [solve(0.010, False) for _ in range(250)][50:]
+    east = np.array([s.displacement[0] for s in moving])
+    said = np.sqrt(np.mean([s.covariance[0, 0] for s in moving]))
+    assert_allclose(np.sqrt(np.mean(east**2)), 0.010 / np.sqrt(2.0), rtol=0.05)
+    assert_allclose(said, 0.010 / np.sqrt(2.0), rtol=0.15)
+    assert np.sqrt(moving[-1].covariance[1, 1]) < 0.002
+    assert np.sqrt(rest[-1].covariance[0, 0]) < 0.001
 
 
 def test_an_offset_stays_and_calibration_goes_on_there():

@@ -34,6 +34,12 @@ CLOCK: Final = 3
 """Index of the clock in the free part; before it east, north, up."""
 LONGEST_GAP: Final = 60.0
 """A satellite that has been away for longer begins anew [s]."""
+STRESS_MEMORY: Final = 0.3
+"""Over which lags are averaged [s]."""
+NOISE_SHOWN: Final = 1.6
+"""Variance of a discriminator in a loop of 15 Hz and 20 ms, over that in open loop [-]."""
+STRESS_LIMIT: Final = 2.5
+"""Lags of a variance beyond so many times that of noise are lags [-]."""
 WAVELENGTH_RAD: Final = L1_WAVELENGTH / (2.0 * np.pi)
 INTEGRATION: Final = 0.02
 """Coherent integration of the squaring loss [s]."""
@@ -83,7 +89,8 @@ class PhaseEpoch:
     ``residual`` [m] is against the surveyed antenna, ``design`` (m, 4) what displacement east,
     north, up and clock add to it; ``slipped`` tells that a phase does not go on from the one
     before, ``lock_time`` for how long it has gone on [s]. ``code_less_phase`` [m] gives the
-    codes' residuals: where the clock begins.
+    codes' residuals: where the clock begins. ``lag`` is what discriminators say that the phases
+    lag behind, and its open-loop sigma [m]; None: nothing.
     """
 
     time: float
@@ -96,6 +103,7 @@ class PhaseEpoch:
     slipped: NDArray[np.bool_]
     lock_time: FloatArray
     code_less_phase: FloatArray
+    lag: tuple[FloatArray, FloatArray] | None = None
 
 
 @dataclass(frozen=True)
@@ -152,6 +160,8 @@ class PhaseDisplacement:
         Variance of the phases as residuals show it, over that of the model [-], at least 1.
     calibrated : float
         Stillness so far [s].
+    stress : ndarray, shape (3, 3)
+        Covariance of what the loops make displacements lag behind [m^2].
     at_rest : bool
         At the last epoch the antenna was where ``reference`` says.
     """
@@ -169,6 +179,8 @@ class PhaseDisplacement:
         self._seen: FloatArray = np.full(SLOTS, -np.inf)
         self._broken: NDArray[np.bool_] = np.zeros(SLOTS, np.bool_)
         self._time: float | None = None
+        self._lag: FloatArray = np.zeros((3, 3))
+        self.stress: FloatArray = np.zeros((3, 3))
         self._limits = [float(chdtri(n, c.phase_false_alarm)) for n in range(1, SLOTS + 1)]
         self.counts = {"slips_found": 0, "arcs": 0, "contradictions": 0}
 
@@ -282,7 +294,8 @@ class PhaseDisplacement:
             covariance *= found.chi_square / found.freedom
         variance = (found.G**2) @ noise[found.rows]
         common = covariance - (found.G * noise[found.rows]) @ found.G.T
-        covariance[:3, :3] += self.reference.covariance
+        self.stress = self._stress(epoch, found)
+        covariance[:3, :3] += self.reference.covariance + self.stress
         residual = np.full(len(refused), np.nan)
         residual[found.rows] = found.residual
         drift = self.config.bias_walk**2 * float((found.G[CLOCK] ** 2).sum())
@@ -297,6 +310,25 @@ class PhaseDisplacement:
             refused=refused,
             calibrated=self.calibrated >= self.config.calibration_s,
         )
+
+    def _stress(self, epoch: PhaseEpoch, found: _Fit) -> FloatArray:
+        """Return the covariance of what the loops make the displacement lag behind [m^2].
+
+        All satellites' phases lag alike, so residuals do not show it. Discriminators do: solved as
+        phases are, they give the lag, with the noise of an integration.
+        """
+        if epoch.lag is None:
+            return np.zeros((3, 3))
+        error, sd = epoch.lag
+        G = found.G[:CLOCK]
+        lag = G @ error[found.rows]
+        noise = NOISE_SHOWN * float(((G * sd[found.rows]) ** 2).sum())
+        weight = min(1.0, epoch.interval / STRESS_MEMORY)
+        self._lag = self._lag + weight * (np.outer(lag, lag) - self._lag)
+        shown = float(np.trace(self._lag))
+        if shown <= STRESS_LIMIT * noise or noise == 0.0:
+            return np.zeros((3, 3))
+        return self._lag * (1.0 - noise / shown)
 
     def _calibrate(
         self, epoch: PhaseEpoch, y: FloatArray, noise: FloatArray, good: NDArray[np.bool_],

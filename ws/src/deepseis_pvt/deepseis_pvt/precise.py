@@ -221,9 +221,17 @@ class PhasePositions:
             cn0_dbhz=o.cn0_dbhz[rows].astype(np.float64),
             slipped=(o.lli[rows] & Lli.SLIP) != 0,
             lock_time=o.lock_time[rows].astype(np.float64),
+            lag=None if self.config.add_discriminator else lag_of(o, rows),
             code_less_phase=o.pseudorange[rows] - o.carrier_phase_cycles[rows] * L1_WAVELENGTH,
         )
         return epoch, [o.satellites[row] for row in rows]
+
+
+def lag_of(o: Observations, rows: list[int]) -> tuple[FloatArray, FloatArray]:
+    """Return what discriminators say that phases lag behind [m], and their open-loop sigma [m]."""
+    error = np.nan_to_num(o.carrier_error_cycles[rows].astype(np.float64))
+    sd = np.nan_to_num(o.carrier_error_sd_cycles[rows].astype(np.float64))
+    return -L1_WAVELENGTH * error, L1_WAVELENGTH * sd
 
 
 def phase_positions(

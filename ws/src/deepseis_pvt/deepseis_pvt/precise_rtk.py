@@ -121,6 +121,7 @@ class RtkPositions:
         observations: Observations,
         slipped: Iterable[str] = (),
         rest: FloatArray | None = None,
+        stress: FloatArray | None = None,
     ) -> PrecisePosition:
         """Return the position of an epoch; epochs come in order.
 
@@ -131,6 +132,8 @@ class RtkPositions:
             Satellites whose phases others have found to have slipped.
         rest : ndarray, shape (3,), optional
             Where the antenna is known to be at rest, east, north, up of its surveyed place [m].
+        stress : ndarray, shape (3, 3), optional
+            Covariance of what the loops make displacements lag behind [m^2].
         """
         o = observations
         while self._waiting and self._waiting[0].sample_index <= o.sample_index - self.latency:
@@ -150,7 +153,10 @@ class RtkPositions:
         self._in_row = self._in_row + 1 if fixed == self._tied else 0
         kind = "tied" if self._tied else solution.status.name.lower()
         self.counts[f"rtk_{kind}"] += 1
-        return self._position(o, self._base, solution, rest)
+        value = self._position(o, self._base, solution, rest)
+        if stress is None:
+            return value
+        return replace(value, covariance_enu=value.covariance_enu + stress)
 
     def _tie(self, rest: FloatArray | None) -> None:
         """Hold a resting antenna where it is until its ambiguities are known.

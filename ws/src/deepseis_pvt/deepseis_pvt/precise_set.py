@@ -79,7 +79,9 @@ class PrecisePositions:
         values = [(PHASE_TOPIC, found)]
         if self.rtk is not None:
             slipped = found.rejected if found.status != PreciseStatus.NONE else ()
-            value = self.rtk.solve(observations, slipped, self.phase.rest)
+            value = self.rtk.solve(
+                observations, slipped, self.phase.rest, self.phase.filter.stress
+            )
             values.append((RTK_TOPIC, value))
         return values
 
