@@ -12,6 +12,7 @@ import typer
 from deepseis_bringup.cli_common import Out, add_command, into_run_folder, say
 
 REPEATED: Final[Mapping[str, str]] = {
+    "displacement": "accept_displacement",
     "tight": "accept_tight",
     "tracking": "accept_tracking",
     "gyrofree": "accept_gyrofree",
