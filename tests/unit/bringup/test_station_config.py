@@ -161,3 +161,30 @@ def test_kinds_are_those_of_the_graph(tmp_path, recording):
     kinds = {spec.kind for spec in build_graph(config.graph(tmp_path))}
     inertial = {"imu_source", "motion_state", "fusion", "seismic_event"}
     assert kinds | inertial | {"truth_aiding", "base_source"} == set(KINDS)
+
+
+def test_the_imu_and_how_it_stands(tmp_path, recording):
+    imu = (
+        "imu: {file: imu.csv, grade: mti-g, imu_to_antenna: [0, 0, 1.5],"
+        " monument_ecef: [-3.957e6, 3.310e6, 3.737e6]}"
+    )
+    (tmp_path / "imu.csv").write_text(
+        "t,ax,ay,az,gx,gy,gz\n" + "".join(f"{k / 100},0,0,9.8,0,0,0\n" for k in range(1, 5))
+    )
+    (tmp_path / "imu.csv.yaml").write_text(
+        "accelerometer: {columns: [ax, ay, az]}\ngyroscope: {columns: [gx, gy, gz]}"
+    )
+    text = f"source: {{file: {recording.name}}}\nsatellites: [G01]\n"
+    graph = read(tmp_path, text + imu).graph(tmp_path / "run")
+    specs = {spec.name: spec.parameters for spec in build_graph(graph)}
+    assert graph.aiding == "fusion"
+    assert specs["imu_source"]["imu_file"] == str(tmp_path / "imu.csv")
+    assert specs["imu_source"]["imu_to_antenna"] == [0.0, 0.0, 1.5]
+    assert (specs["fusion"]["imu_grade"], specs["fusion"]["imu_rate_hz"]) == ("mti-g", 100.0)
+    assert specs["trackers"]["aiding"] is True
+    with pytest.raises(InputError, match=r"station.yaml.*imu_to_antenna has 2, not 3"):
+        read(tmp_path, text + imu.replace("0, 0, 1.5", "0, 0"))
+    with pytest.raises(InputError, match="unknown key lever in imu"):
+        read(tmp_path, text + imu.replace("imu_to_antenna", "lever"))
+    without = read(tmp_path, text).graph(tmp_path / "run")
+    assert without.aiding == ""

@@ -83,3 +83,19 @@ def test_less_than_a_group_decides_nothing(through):
     for item in samples(3):
         made.push(item)
     assert list(made.advance(through)) == []
+
+
+def test_a_detector_that_joins_decides_from_there_on():
+    items = list(samples(6000, moving_from=5000))
+    made, first = engine(), items[3001].sample_index
+    made.join(first)
+    for item in items[3001:]:
+        made.push(item)
+    through, states = zip(*made.advance(items[-1].sample_index), strict=True)
+    # Whole groups of four from the first that begins with a sample that was seen.
+    assert through[0] - first in range(3 * STEP, 7 * STEP)
+    assert np.diff(through).tolist() == [4 * STEP] * (len(through) - 1)
+    said = [state for group in states for state in group]
+    moving = next(s for s in said if s.state == MotionKind.MOVING)
+    assert 0 <= 5000 * STEP - moving.sample_index < 20 * STEP  # 0.05 g from one sample to the next
+    assert any(s.state == MotionKind.STATIC for s in said)

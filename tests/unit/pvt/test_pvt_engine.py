@@ -301,3 +301,9 @@ def test_rates_that_do_not_divide_are_refused():
         engine(pvt_rate_hz=7)
     with pytest.raises(ValueError, match="divisor"):
         engine(rate_hz=30)
+
+
+def test_an_engine_that_joins_makes_no_attempts_at_what_is_past():
+    engine = PvtEngine(PvtConfig(), 4e6, ["G01"])
+    engine.join(3_600 * 4_000_000 + 5)
+    assert engine.valid_through == 3_600 * 4_000_000 + 400_000 - 1

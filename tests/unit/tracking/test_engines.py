@@ -215,3 +215,44 @@ def test_a_gap_during_the_search_starts_it_afresh(searcher):
     results, _ = run(searcher, [0, 1, 4, 5, 6])
     assert len(results) == 2
     assert searcher._acquirer.calls == [(4 * COUNT, 3 * COUNT, SATELLITES)]
+
+
+def test_a_search_waits_no_longer_than_it_must_for_a_tracker_that_has_died(searcher):
+    searcher.expect_trackers(["trackers_g05", "trackers_g07"])
+    run(searcher, range(25))
+    searcher.tracker_valid("trackers_g05", SLOT - 1, 0)
+    searcher.push_block(block(25))
+    assert searcher.advance() is None
+    assert searcher.advance(force=True) is not None
+    assert searcher.valid_through >= 2 * SLOT - 1
+
+
+def test_a_tracker_that_joins_asks_for_all_and_who_was_not_tracked_keeps_its_turn(searcher):
+    run(searcher, range(10))  # G07 found and handed over, G05 has its turn after 2 s
+    tracker = engine()
+    tracker.join(5 * COUNT, RATE)
+    for index in range(5, 10):
+        tracker.push_block(block(index))
+    outputs = [tracker.advance() for _ in range(5)]
+    assert outputs[0].requests == [("G05", 5 * COUNT), ("G07", 5 * COUNT)]
+    assert not any(output.requests for output in outputs[1:])
+    for satellite, sample in outputs[0].requests:
+        searcher.push_request(satellite, sample, "trackers")
+    run(searcher, range(10, 40))
+    assert searcher._acquirer.calls[-1][0] == SLOT
+    assert searcher._acquirer.calls[-1][2] == ("G07",)
+
+
+def test_a_tracker_that_joins_takes_new_results_and_no_old_ones():
+    tracker = engine()
+    for effective in (SLOT, 20 * SLOT):  # what a late reader gets: found 9.5 s ago, and just now
+        tracker.push_result(result(effective=effective))
+    tracker.push_result(result("G07", effective=SLOT))
+    tracker.acquisition_valid(30 * SLOT, 500)  # most were found before this process was there
+    tracker.join(20 * SLOT + 5 * COUNT, RATE)
+    for index in range(505, 560):
+        tracker.push_block(block(index))
+        assert tracker.advance() is not None
+    assert tracker.counters["late_results"] == 1
+    assert tracker.channels["G05"].mode != TrackingMode.IDLE
+    assert tracker.channels["G07"].mode == TrackingMode.IDLE

@@ -109,17 +109,25 @@ def process(
             " --start-utc a fix needs no subframe."
         ),
     ] = "",
+    imu: Annotated[
+        Path | None,
+        typer.Option(
+            help="IMU beside the recording: a bag, or text of columns that <file>.yaml describes;"
+            " aids the loops."
+        ),
+    ] = None,
     output: Out = None,
 ) -> None:
     r"""Run an IF recording of your own through the graph.
 
     Packing and rate come from a descriptor beside the file, <file>.yaml, or from the options
-    (docs/formats.md lists presets and texts). Leaves a run folder as the demo does, without
-    the samples in the bag.
+    (docs/formats.md lists presets and texts, and tells how an IMU's columns are described).
+    Leaves a run folder as the demo does, without the samples in the bag.
 
     \b
-    Example:
+    Examples:
       ./deepseis process capture.bin --format pocketsdr_iq8 --rate 4e6 --start-utc 2022-01-01T02:00
+      ./deepseis process capture.bin --imu imu.csv --position '35.68 139.77 10' --nav brdc.rnx
     """
 
     def work(folder: Path) -> None:
@@ -137,7 +145,12 @@ def process(
         selection = runs.Selection(
             str(if_file), format, rate, intermediate_frequency, start_utc, length_s=length
         )
-        options = runs.RunOptions(record_if=False, parameters={"pvt": known, "acquisition": known})
+        orbits = {"fusion": {"nav_file": known["nav_file"]}} if imu and nav else {}
+        options = runs.RunOptions(
+            record_if=False,
+            imu_file=str(imu) if imu else "",
+            parameters={"pvt": known, "acquisition": known, **orbits},
+        )
         figures = runs.run_recording(selection, folder, options)
         say_figures(
             write_report(folder, truth=None, title=f"DeepSeis {if_file.name}", extra=figures)

@@ -57,6 +57,7 @@ class GraphConfig:
     ``aiding`` names who publishes aiding: empty, ``fusion`` (the inertial half of the graph), or
     ``truth`` (bench only).
     ``base``: the source's bag holds a base station; it is played, and pvt solves against it.
+    ``imu_file``: where the IMU is, if not in the bag that is the source.
     ``watched``: a `deepseis_bringup.watch.GraphWatch` looks on, and the source waits for it.
     ``parameters`` are overrides by node kind (``if_source``, ``tracker``, ``pvt``, ...).
     """
@@ -68,6 +69,7 @@ class GraphConfig:
     one_process: bool = True
     aiding: str = ""
     base: bool = False
+    imu_file: str = ""
     record_dir: str = ""
     record_if: bool = True
     output_dir: str = ""
@@ -271,7 +273,7 @@ def _inertial(config: GraphConfig) -> list[NodeSpec]:
         ("imu/data_raw", "station", "/diagnostics"),
         (),
         "imu_source",
-        {"file": config.source["file"]},
+        {"file": config.source["file"], "imu_file": config.imu_file},
     )
     motion_state = NodeSpec(
         "motion_state",

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from deepseis_core.errors import InputError
 from deepseis_core.geodesy import ecef_from_enu
@@ -14,13 +17,10 @@ from deepseis_core.mcap_scan import McapScan
 from deepseis_core.sample_clock import SampleClock
 from deepseis_frontend.if_bag import bag_files
 from deepseis_frontend.if_stream import IfSource
-from deepseis_frontend.imu_bag import TOPIC, ImuBag
+from deepseis_frontend.imu_bag import TOPIC
+from deepseis_frontend.imu_file import ImuFile, Installation
+from deepseis_frontend.imu_open import is_bag, open_imu
 from deepseis_frontend.nodes.station_bag import LOOKED_AT, read_station
-
-
-def is_bag(path: Path) -> bool:
-    """Tell whether a path names a bag."""
-    return path.suffix == ".mcap" or (path.is_dir() and any(path.glob("*.mcap")))
 
 
 def has_imu(path: Path) -> bool:
@@ -42,32 +42,44 @@ def has_imu(path: Path) -> bool:
     return False
 
 
-def inertial_parameters(path: Path, source: IfSource) -> dict[str, dict[str, Any]]:
-    """Return parameters of ``motion_state``, ``fusion`` and ``seismic_event`` for a bag.
+def inertial_parameters(
+    path: Path, source: IfSource, given: Installation | None = None
+) -> dict[str, dict[str, Any]]:
+    """Return parameters of ``motion_state``, ``fusion`` and ``seismic_event``.
+
+    Parameters
+    ----------
+    path : Path
+        Where the IMU is: a bag, or a text file of columns.
+    source : IfSource
+        The IF samples, whose clock is that of the IMU too.
+    given : Installation, optional
+        How it stands; without, the bag or the file's description has to say so.
 
     Raises
     ------
     InputError
-        The bag has no IMU or no station, or an IMU of unknown grade.
+        There is no IMU, nobody says how it stands, or its grade is not known.
     """
     clock = _clock(source)
-    imu, about = ImuBag(path, clock), read_station(path)
-    if about is None:
-        raise InputError(path, "does not describe its station", "lever arm, orientation, grade")
-    station, _ = about
-    if station.imu not in GRADES:
-        hint = "known: " + ", ".join(GRADES)
-        raise InputError(path, f"has an IMU of unknown grade {station.imu!r}", hint)
+    imu = open_imu(path, clock)
+    stands = given
+    if stands is None and isinstance(imu, ImuFile):
+        stands = imu.format.installation
+    stands = stands or _described(path)
+    if stands.grade not in GRADES:
+        what = f"has an IMU of unknown grade {stands.grade!r}" if stands.grade else "has no grade"
+        raise InputError(path, what, "known: " + ", ".join(GRADES))
     common = {
         "start_utc_ns": clock.start_utc_ns,
         "imu_rate_hz": imu.rate_hz,
-        "imu_grade": station.imu,
+        "imu_grade": stands.grade,
     }
     geometry = {
-        "monument_ecef": station.monument_ecef.tolist(),
-        "antenna_lever_arm": station.antenna_lever_arm.tolist(),
-        "imu_to_antenna": station.imu_to_antenna.tolist(),
-        "imu_orientation_xyzw": station.imu_orientation_xyzw.tolist(),
+        "monument_ecef": list(stands.monument_ecef),
+        "antenna_lever_arm": list(stands.antenna_lever_arm),
+        "imu_to_antenna": list(stands.imu_to_antenna),
+        "imu_orientation_xyzw": list(stands.orientation_xyzw),
     }
     return {
         "motion_state": common,
@@ -77,6 +89,51 @@ def inertial_parameters(path: Path, source: IfSource) -> dict[str, dict[str, Any
             "monument_ecef": geometry["monument_ecef"],
         },
     }
+
+
+def installed_parameters(
+    path: Path, source: IfSource, given: Installation | None, antenna_ecef: Sequence[float]
+) -> dict[str, dict[str, Any]]:
+    """Return the same for an IMU that is not in the source's bag; ``imu_source`` says it all on.
+
+    Where no monument is given, the antenna's surveyed place tells it.
+
+    Raises
+    ------
+    InputError
+        As `inertial_parameters`; or the station's place is not known.
+    """
+    found = inertial_parameters(path, source, given)
+    fusion = found["fusion"]
+    if not any(fusion["monument_ecef"]):
+        if not any(antenna_ecef):
+            hint = "monument_ecef, or the antenna's position"
+            raise InputError(path, "the station's place is not known", hint)
+        down = -np.array(fusion["antenna_lever_arm"])
+        fusion["monument_ecef"] = ecef_from_enu(down, np.array(antenna_ecef)).tolist()
+        found["seismic_event"]["monument_ecef"] = fusion["monument_ecef"]
+    known = {name: value for name, value in fusion.items() if name != "imu_rate_hz"}
+    found["imu_source"] = {**known, "sample_rate_hz": source.sample_rate_hz}
+    return found
+
+
+def _described(path: Path) -> Installation:
+    """Return how the IMU of a bag stands, as the bag says."""
+    about = read_station(path) if is_bag(path) else None
+    if about is None:
+        raise InputError(path, "does not describe its station", "lever arm, orientation, grade")
+    station, _ = about
+
+    def numbers(values: Any) -> Any:
+        return tuple(float(value) for value in values)
+
+    return Installation(
+        station.imu,
+        numbers(station.monument_ecef),
+        numbers(station.antenna_lever_arm),
+        numbers(station.imu_to_antenna),
+        numbers(station.imu_orientation_xyzw),
+    )
 
 
 def assistance(bag: Path) -> dict[str, dict[str, Any]]:

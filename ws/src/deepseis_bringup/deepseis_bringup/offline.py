@@ -121,7 +121,9 @@ class OfflineChain:
         self._next_base = next(self._base, None)
         self.inertial: InertialChain | None = None
         if config.aiding == "fusion":
-            self.inertial = InertialChain(chosen.file, self.clock, config.parameters, _pick)
+            self.inertial = InertialChain(
+                config.imu_file or chosen.file, self.clock, config.parameters, _pick
+            )
 
     def run(self) -> Iterator[Output]:
         """Work through the recording; yield what the graph would publish."""

@@ -12,7 +12,7 @@ from deepseis_core.imu_grades import grade_named
 from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import Ephemeris, ImuSample, Pvt, Station
-from deepseis_frontend.imu_bag import ImuBag
+from deepseis_frontend.imu_open import open_imu
 from deepseis_ins.event_engine import EventConfig, EventEngine
 from deepseis_ins.fusion_config import FusionConfig
 from deepseis_ins.fusion_engine import FusionEngine
@@ -32,7 +32,7 @@ class InertialChain:
     Parameters
     ----------
     file : str
-        The bag.
+        Where the IMU is.
     clock : SampleClock
         Of its IF samples.
     given : mapping
@@ -53,7 +53,7 @@ class InertialChain:
         if "imu_grade" not in known:
             raise InputError(file, "the inertial half needs parameters", "inertial_parameters")
         rate, grade = float(known["imu_rate_hz"]), grade_named(known["imu_grade"])
-        self.samples = ImuBag(file, clock).samples()
+        self.samples = open_imu(file, clock).samples()
         self.next: ImuSample | None = next(self.samples)
         detector = dict(given.get("motion_state", {}))
         self.motion = MotionEngine(

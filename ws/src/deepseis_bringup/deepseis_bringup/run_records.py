@@ -89,8 +89,9 @@ def _place_in_graph(spec: NodeSpec) -> dict[str, Any]:
 
 def _without_places(parameters: Mapping[str, Any]) -> dict[str, Any]:
     kept = {name: value for name, value in parameters.items() if name not in PLACES}
-    if kept.get("file"):
-        kept["file"] = Path(kept["file"]).name
+    for name in ("file", "imu_file"):
+        if kept.get(name):
+            kept[name] = Path(kept[name]).name
     return kept
 
 

@@ -16,7 +16,13 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from deepseis_bringup.base import base_position, has_base
 from deepseis_bringup.graph import ALL_SATELLITES, GraphConfig, build_graph
-from deepseis_bringup.inertial import assistance, has_imu, inertial_parameters
+from deepseis_bringup.inertial import (
+    assistance,
+    has_imu,
+    inertial_parameters,
+    installed_parameters,
+)
+from deepseis_bringup.restarts import Restarts
 from deepseis_bringup.run_records import input_hash, recorded_run, versions, with_records
 from deepseis_bringup.supervisor import NodeFailureError, Supervisor, own_domain, running
 from deepseis_bringup.watch import GraphWatch
@@ -25,6 +31,7 @@ from deepseis_core.gps_time import GpsTime
 from deepseis_core.sample_clock import utc_ns_from_iso
 from deepseis_frontend.if_open import open_source
 from deepseis_frontend.if_stream import IfSource
+from deepseis_frontend.imu_file import Installation
 from deepseis_frontend.nodes.station_bag import read_station
 
 console = Console(stderr=True)
@@ -59,6 +66,8 @@ class RunOptions:
     record_if: bool = True
     aiding: str = ""
     base: bool = False
+    imu_file: str = ""
+    installation: Installation | None = None
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     timeout: float | None = None
 
@@ -168,12 +177,19 @@ def run_recording(
     started = time.monotonic()
     sha256 = input_hash(Path(selection.file))
     config = with_records(graph_config(selection, source, folder, options), sha256)
+    restarts = Restarts() if options.mode == "realtime" else None
     with own_domain() as environment:
         supervisor = Supervisor(
-            build_graph(replace(config, watched=True)), folder, environment=environment
+            build_graph(replace(config, watched=True)),
+            folder,
+            environment=environment,
+            restarts=restarts,
         )
         members = [spec.name for spec in supervisor.specs if spec.name != "if_source"]
-        with running(supervisor), GraphWatch(environment, members=members) as watch:
+        with (
+            running(supervisor),
+            GraphWatch(environment, members=members, restarts=restarts) as watch,
+        ):
             elapsed = _follow(supervisor, watch, source, options, progress)
     duration = _seconds(source, watch.valid_through)
     if duration <= 0:
@@ -190,6 +206,7 @@ def run_recording(
         "graph_time_s": round(elapsed, 3),
         "real_time_factor": round(duration / elapsed, 3) if elapsed else 0.0,
         "mode": options.mode,
+        **({"restarts": restarts.count} if restarts is not None else {}),
         **{f"version_{name}": value for name, value in versions().items()},
     }
 
@@ -233,9 +250,16 @@ def graph_config(
         week = GpsTime.from_utc_ns(start_ns).week
         for kind in ("tracker", "acquisition"):
             parameters.setdefault(kind, {}).setdefault("reference_week", week)
-    if options.aiding == "fusion":
-        for kind, known in inertial_parameters(Path(selection.file), source).items():
-            parameters[kind] = {**known, **parameters.get(kind, {})}
+    imu, found = options.imu_file, {}
+    if imu:
+        place = parameters.get("pvt", {}).get("position_ecef", ())
+        found = installed_parameters(Path(imu), source, options.installation, place)
+    elif options.aiding == "fusion":
+        found = inertial_parameters(Path(selection.file), source)
+    if found and selection.start_s:
+        found["fusion"]["start_s"] = selection.start_s
+    for kind, known in found.items():
+        parameters[kind] = {**known, **parameters.get(kind, {})}
     if source.total_samples and source.total_samples < SHORT_S * source.sample_rate_hz:
         for kind, values in SHORT_SETTINGS.items():
             parameters[kind] = {**values, **parameters.get(kind, {})}
@@ -245,8 +269,9 @@ def graph_config(
         satellites=options.satellites,
         mode=options.mode,
         one_process=options.one_process,
-        aiding=options.aiding,
+        aiding="fusion" if imu else options.aiding,
         base=options.base,
+        imu_file=str(Path(imu).resolve()) if imu else "",
         record_dir=str((folder / "bag").resolve()) if options.record else "",
         record_if=options.record_if,
         output_dir=str(folder.resolve()),

@@ -17,6 +17,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 
 from deepseis_bringup.graph import build_graph
+from deepseis_bringup.restarts import Restarts
 from deepseis_bringup.run_records import versions
 from deepseis_bringup.station_config import StationConfig
 from deepseis_bringup.supervisor import Supervisor, running
@@ -35,8 +36,10 @@ TRACKING = re.compile(r"tracking (\d+)")
 class StationWatch(GraphWatch):
     """Listens to the diagnostics as well."""
 
-    def __init__(self, namespace: str, say: Callable[[str], None]) -> None:
-        super().__init__({}, namespace)
+    def __init__(
+        self, namespace: str, say: Callable[[str], None], restarts: Restarts | None = None
+    ) -> None:
+        super().__init__({}, namespace, restarts=restarts)
         self.say = say
         self.texts: dict[str, str] = {}
         self.levels: dict[str, bytes] = {}
@@ -156,15 +159,19 @@ def run_station(
         The source cannot be used, a graph of this name runs already, or a node failed.
     """
     graph = config.graph(folder)
+    restarts = Restarts() if config.mode == "realtime" else None
     supervisor = Supervisor(
-        build_graph(replace(graph, watched=True)), folder, namespace=config.station
+        build_graph(replace(graph, watched=True)),
+        folder,
+        namespace=config.station,
+        restarts=restarts,
     )
     members = [spec.name for spec in supervisor.specs if spec.name != "if_source"]
     started, reason = time.monotonic(), "end of the source"
     with (
         only_one(config.station),
         terminate_is_interrupt(),
-        StationWatch(config.station, say) as watch,
+        StationWatch(config.station, say, restarts) as watch,
     ):
         watch.refuse_namesake()
         say(f"recording to {graph.record_dir}" if graph.record_dir else "not recording")
@@ -181,6 +188,7 @@ def run_station(
         "station": config.station,
         "duration_s": round((watch.valid_through + 1) / graph.sample_rate_hz, 6),
         "wall_time_s": round(time.monotonic() - started, 3),
+        "restarts": restarts.count if restarts is not None else 0,
         "nodes_with_warnings": sum(level > b"\0" for level in watch.levels.values()),
         **{f"version_{name}": value for name, value in versions().items()},
     }

@@ -14,10 +14,13 @@ from deepseis_bringup.graph import ALL_SATELLITES, KINDS, GraphConfig
 from deepseis_bringup.run_records import with_records
 from deepseis_bringup.runs import RunOptions, Selection, graph_config
 from deepseis_core.errors import InputError
+from deepseis_core.yaml_config import Entry, fill
 from deepseis_frontend.if_open import open_source
+from deepseis_frontend.imu_file import Installation
 
 MODES = ("realtime", "lockstep")
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+IMU_KEYS = ("file", *(item.name for item in fields(Installation)))
 SOURCE_KEYS = (*(item.name for item in fields(Selection)), "pace", "window_blocks")
 
 
@@ -36,6 +39,7 @@ class StationConfig:
     one_process: bool = True
     record: bool = True
     record_if: bool = True
+    imu: Mapping[str, Any] = field(default_factory=dict)
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
@@ -59,6 +63,8 @@ class StationConfig:
             one_process=self.one_process,
             record=self.record,
             record_if=self.record_if,
+            imu_file=self.imu.get("file", ""),
+            installation=self.imu.get("installation"),
             parameters=parameters,
         )
 
@@ -114,6 +120,7 @@ def station_config(values: Any, path: Path) -> StationConfig:
         station=check.name(values.get("station")),
         source=check.source(source),
         satellites=check.satellites(values.get("satellites", "all")),
+        imu=check.imu(check.mapping(values.get("imu"), "imu", IMU_KEYS)),
         mode=str(values.get("mode", "realtime")),
         parameters=check.files(parameters),
         **{key: check.truth(values, key) for key in ("one_process", "record", "record_if")},
@@ -178,6 +185,16 @@ class _Checker:
             out["file"] = str(self.beside(out["file"]))
         return out
 
+    def imu(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Return the IMU's file, and how it stands if a grade is given here."""
+        if not values.get("file"):
+            return {}
+        out: dict[str, Any] = {"file": str(self.beside(values.pop("file")))}
+        if values.get("grade"):
+            entries = {key: _entry(value, f"{self.path}: imu") for key, value in values.items()}
+            out["installation"] = fill(Installation, Entry(entries, f"{self.path}: imu"))
+        return out
+
     def files(self, parameters: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
         """Make the files that parameters name relative to the configuration."""
         for values in parameters.values():
@@ -188,3 +205,9 @@ class _Checker:
 
     def beside(self, name: str) -> Path:
         return (self.path.resolve().parent / Path(name).expanduser()).resolve()
+
+
+def _entry(value: Any, where: str) -> Entry:
+    if isinstance(value, list):
+        return Entry([_entry(item, where) for item in value], where)
+    return Entry(value, where)

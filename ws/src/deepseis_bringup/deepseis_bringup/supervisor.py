@@ -17,11 +17,14 @@ import yaml
 
 from deepseis_bringup import executables
 from deepseis_bringup.graph import NodeSpec
+from deepseis_bringup.restarts import Restarts
 from deepseis_core.errors import InputError
 
 STOP_SECONDS = 20.0
 """Time a node has to finish its files after SIGINT [s]."""
 
+BAD_INPUT = 2
+"""Exit status of a node that cannot use its input or parameters: no accident."""
 
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)
@@ -32,12 +35,17 @@ def _die_with_parent() -> None:
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
-def parameter_file(spec: NodeSpec, folder: Path) -> Path:
+def parameter_file(spec: NodeSpec, folder: Path, **more: Any) -> Path:
     """Write a node's parameters as ROS reads them."""
     path = folder / f"{spec.name}.yaml"
-    values = {"/**": {"ros__parameters": spec.ros_parameters()}}
+    values = {"/**": {"ros__parameters": spec.ros_parameters() | more}}
     path.write_text(yaml.safe_dump(values, sort_keys=True))
     return path
+
+
+def ending(status: int) -> str:
+    """Say how a process ended."""
+    return f"ended with status {status}" if status >= 0 else f"was killed by signal {-status}"
 
 
 @dataclass
@@ -54,12 +62,15 @@ class Supervisor:
         The station's name, or empty.
     environment : mapping
         Added to the processes' environment, such as ROS_DOMAIN_ID.
+    restarts : Restarts, optional
+        Real time: who is started again when it has died. Without, a death ends the graph.
     """
 
     specs: list[NodeSpec]
     folder: Path
     namespace: str = ""
     environment: Mapping[str, str] = field(default_factory=dict)
+    restarts: Restarts | None = None
     processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
 
     def start(self) -> None:
@@ -75,8 +86,8 @@ class Supervisor:
         for spec in self.specs:
             self.processes[spec.name] = self._start(spec)
 
-    def _start(self, spec: NodeSpec) -> subprocess.Popen[bytes]:
-        parameters = parameter_file(spec, self.folder / "parameters")
+    def _start(self, spec: NodeSpec, **more: Any) -> subprocess.Popen[bytes]:
+        parameters = parameter_file(spec, self.folder / "parameters", **more)
         try:
             path = executables.executable(spec.package, spec.executable)
         except executables.UnknownExecutableError as error:
@@ -85,7 +96,7 @@ class Supervisor:
         arguments += [word for rule in spec.remaps() for word in ("-r", rule)]
         if self.namespace:
             arguments += ["-r", f"__ns:=/{self.namespace}"]
-        with self.log_of(spec.name).open("wb") as log:
+        with self.log_of(spec.name).open("ab") as log:
             return subprocess.Popen(
                 [str(path), *arguments],
                 stdin=subprocess.DEVNULL,
@@ -112,11 +123,32 @@ class Supervisor:
 
     def failed(self) -> tuple[str, int] | None:
         """Name the first process that ended badly, with its status."""
-        for name, process in self.processes.items():
-            status = process.poll()
+        for name, status in self.statuses().items():
             if status not in (None, 0):
                 return name, int(status)
         return None
+
+    def tend(self, until: str) -> None:
+        """Look who has died while ``until`` runs; start again whose turn it is.
+
+        Raises
+        ------
+        InputError
+            As `raise_failure`, where a death ends the graph.
+        """
+        restarts = self.restarts
+        if restarts is None:
+            self.raise_failure()
+            return
+        for name, process in self.processes.items():
+            status = None if name == until or restarts.waits(name) else process.poll()
+            if status is None:
+                continue
+            if status == BAD_INPUT or not restarts.died(name, ending(status)):
+                self.raise_failure()
+        by_name = {spec.name: spec for spec in self.specs}
+        for name in restarts.due():
+            self.processes[name] = self._start(by_name[name], rejoin=True)
 
     def wait(
         self,
@@ -134,7 +166,7 @@ class Supervisor:
         """
         started = time.monotonic()
         while self.processes[until].poll() is None:
-            self.raise_failure()
+            self.tend(until)
             poll()
             if timeout is not None and time.monotonic() - started > timeout:
                 raise InputError(f"node {until}", f"did not end within {timeout:g} s")
@@ -155,13 +187,12 @@ class Supervisor:
             return
         time.sleep(0.3)  # others name the culprit as well; bad input and signals are causes
         ended = {name: status for name, status in self.statuses().items() if status}
-        name, status = min(ended.items(), key=lambda item: (item[1] != 2, item[1] > 0))
+        name, status = min(ended.items(), key=lambda item: (item[1] != BAD_INPUT, item[1] > 0))
         line = self.last_line(name)
-        if status == 2:
+        if status == BAD_INPUT:
             what, _, reason = line.removeprefix(f"{name}: ").partition(": ")
             raise InputError(what, reason)
-        how = f"ended with status {status}" if status > 0 else f"was killed by signal {-status}"
-        raise NodeFailureError(name, how, line, self.log_of(name))
+        raise NodeFailureError(name, ending(status), line, self.log_of(name))
 
     def stop(self) -> None:
         """End everything that still runs, the recorder last; kill what does not end."""
@@ -183,8 +214,12 @@ class Supervisor:
                 process.wait()
 
     def statuses(self) -> dict[str, int | None]:
-        """Return the exit status of every process."""
-        return {name: process.poll() for name, process in self.processes.items()}
+        """Return the exit status of every process; None: runs, or will be started again."""
+        waits = self.restarts.waits if self.restarts is not None else lambda _name: False
+        return {
+            name: None if waits(name) else process.poll()
+            for name, process in self.processes.items()
+        }
 
 
 class NodeFailureError(InputError):

@@ -13,8 +13,11 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from deepseis_bringup.graph import ONLOOKER
+from deepseis_bringup.restart_report import RestartReport
+from deepseis_bringup.restarts import Restarts
 from deepseis_core.errors import InputError
 from deepseis_core.ros import qos
+from deepseis_core.ros.convert import ns_from_stamp
 from deepseis_msgs.msg import Watermark
 
 PATIENCE = 180.0
@@ -35,6 +38,8 @@ class GraphWatch:
         The station's name, or empty.
     members : iterable of str
         Whose progress to follow besides the source's.
+    restarts : Restarts, optional
+        Real time: told on ``/diagnostics``.
     """
 
     def __init__(
@@ -42,6 +47,7 @@ class GraphWatch:
         environment: Mapping[str, str],
         namespace: str = "",
         members: Iterable[str] = (),
+        restarts: Restarts | None = None,
     ) -> None:
         number = environment.get("ROS_DOMAIN_ID")
         self.context = Context()
@@ -55,7 +61,8 @@ class GraphWatch:
         )
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
-        self.valid_through = -1
+        self.valid_through, self.utc_ns = -1, 0
+        self.report = RestartReport(self.node, restarts) if restarts is not None else None
         self.started_at = self.ended_at = 0.0
         self.moved_at = time.monotonic()
         self.said: dict[str, Watermark] = {}
@@ -100,6 +107,8 @@ class GraphWatch:
         if msg.valid_through > self.valid_through:
             self.ended_at = now
         self.valid_through = max(self.valid_through, msg.valid_through)
+        if msg.valid_through >= 0:
+            self.utc_ns = ns_from_stamp(msg.header.stamp)
 
     def poll(self) -> int:
         """Take what has come; returns the last sample sent."""
@@ -108,6 +117,8 @@ class GraphWatch:
             self._onlooker.publish(Watermark(node=ONLOOKER, ready=True))
         for _ in range(len(self.said) + 1):
             self.executor.spin_once(timeout_sec=0.0)
+        if self.report is not None:
+            self.report.poll(self.utc_ns)
         return self.valid_through
 
     def elapsed(self) -> float:

@@ -37,6 +37,16 @@ class FusionConfig:
     level_sd_deg: float = setting(0.05, "of the surveyed orientation [deg]", low=1e-4, high=90.0)
     monument_sd: float = setting(0.02, "of the surveyed position [m]", low=1e-4, high=100.0)
 
+    joined_attitude_sd_deg: float = setting(
+        0.5, "of the surveyed orientation where the station may be moving [deg]", low=0.01, high=90
+    )
+    joined_position_sd: float = setting(
+        1.0, "of the surveyed position where the station may be moving [m]", low=0.01, high=1e3
+    )
+    joined_velocity_sd: float = setting(
+        0.3, "least, of the velocity from GNSS to start with [m/s]", low=0.01, high=10.0
+    )
+
     still_velocity_sd: float = setting(3e-4, "zero velocity at rest [m/s]", low=1e-6, high=1.0)
     still_angle_sd_deg: float = setting(
         0.01, "zero turn since the rest began [deg]", low=1e-6, high=10.0

@@ -38,12 +38,12 @@ from deepseis_ins.fusion_config import FusionConfig
 from deepseis_ins.fusion_inputs import FusionInputs
 from deepseis_ins.fusion_output import FusionOutput, FusionStatus, SolutionWriter, no_aiding
 from deepseis_ins.fusion_present import Present
-from deepseis_ins.fusion_start import Site, start_filter
+from deepseis_ins.fusion_start import Site, start_filter, start_moving
 from deepseis_ins.fusion_time import Timebase
-from deepseis_ins.gnss_epochs import PreciseEpoch
+from deepseis_ins.gnss_epochs import PreciseEpoch, has_velocity
 from deepseis_ins.ground_motion import GroundMotion, of_precise
 from deepseis_ins.imu_history import RowFlag
-from deepseis_ins.loose import LooseConfig
+from deepseis_ins.loose import LooseConfig, LooseFilter
 from deepseis_ins.oscillator_terms import OscillatorTerms
 from deepseis_ins.satellite_book import Chosen
 
@@ -111,6 +111,8 @@ class FusionEngine(FusionInputs):
         self.timebase = Timebase(SOURCE, sample_rate_hz)
         self._reported = -1
         self._recovering = False
+        self._joined = False
+        self._latest: Pvt | None = None
         self.trouble = ""
         self._counts = dict.fromkeys(
             ("spans", "invalid", "late_imu", "late_motion", "late_pvt", "extrapolated",
@@ -152,6 +154,8 @@ class FusionEngine(FusionInputs):
         begin, end = self.next_sample, self.next_sample + self.block
         for what in lacking:
             self._counts[f"late_{what}"] += 1
+        if "motion" in lacking:
+            self.miss_motion(begin)
         self._take(begin, end)
         self.history.fill(end)
         updates = self._work(begin - self.delay)
@@ -161,6 +165,15 @@ class FusionEngine(FusionInputs):
         self._forget()
         self.next_sample = end
         return output
+
+    def join(self, sample: int) -> None:
+        """Begin at a sample of a running graph, whose station may be moving.
+
+        With a surveyed attitude the filter starts at once, from the survey and the velocity of
+        GNSS; without one the station has to stand still first, as at every start.
+        """
+        self.begin_at(sample)
+        self._joined = self.site.C_nb is not None
 
     # Inputs in order
 
@@ -182,6 +195,7 @@ class FusionEngine(FusionInputs):
         if pvt.status == PvtStatus.NONE:
             return
         self.timebase.take(pvt)
+        self._latest = pvt
         if self.delayed is not None:
             self.delayed.push(pvt)
 
@@ -200,6 +214,8 @@ class FusionEngine(FusionInputs):
         """Bring the filter to D before the span; start it if the station has stood still."""
         if self._imu_lost():
             self._restart()
+        elif self.delayed is None and self._joined:
+            self._start_joined()
         elif self.delayed is None:
             self._start(horizon)
         if self.delayed is None:
@@ -221,12 +237,25 @@ class FusionEngine(FusionInputs):
         except InputError as error:
             self.trouble = str(error)
             return
+        self._counts["corrected_surveys"] += corrected
+        self._begin(filter, row)
+
+    def _start_joined(self) -> None:
+        """Start from the latest epoch of GNSS."""
+        history, pvt = self.history, self._latest
+        row = history.number_at(pvt.sample_index) if pvt is not None else -1
+        if pvt is None or not has_velocity(pvt) or not history.is_whole(row, row + 1):
+            return
+        rate_b = history.increments(row, row + 1)[0][0] / history.dt
+        filter = start_moving(self.config, self.loose, self.grade, self.site, pvt, rate_b)
+        self._begin(filter, row)
+
+    def _begin(self, filter: LooseFilter, row: int) -> None:
         self.trouble = ""
         self._counts["starts"] += 1
-        self._counts["corrected_surveys"] += corrected
         self.ground.origin_enu = self.writer.enu(filter.nav)
         self.delayed = DelayedFilter(
-            self.config, filter, row, history, self.timeline, self.site.lever_arm_b,
+            self.config, filter, row, self.history, self.timeline, self.site.lever_arm_b,
             self.sample_rate_hz, self.oscillator,
         )  # fmt: skip
 

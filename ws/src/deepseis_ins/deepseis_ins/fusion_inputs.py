@@ -9,7 +9,14 @@ from typing import TypeVar
 import numpy as np
 
 from deepseis_core.imu_grades import ImuGrade
-from deepseis_core.types import Ephemeris, ImuSample, MotionState, PrecisePosition, Pvt
+from deepseis_core.types import (
+    Ephemeris,
+    ImuSample,
+    MotionKind,
+    MotionState,
+    PrecisePosition,
+    Pvt,
+)
 from deepseis_ins.fusion_config import FusionConfig
 from deepseis_ins.imu_history import ImuHistory
 from deepseis_ins.motion_timeline import MotionTimeline
@@ -55,6 +62,10 @@ class FusionInputs:
         self._pvts: list[Pvt] = []
         self._precise: list[PrecisePosition] = []
         self._through = dict.fromkeys(("samples", "imu", "motion", "pvt"), -1)
+
+    def begin_at(self, sample: int) -> None:
+        """Make the span that holds a sample the first one: the graph runs already."""
+        self.first_sample = self.next_sample = sample // self.block * self.block
 
     def push_imu(self, sample: ImuSample) -> None:
         """Take an IMU sample, in any order."""
@@ -108,6 +119,19 @@ class FusionInputs:
         if begin - self.delay >= self.first_sample:
             needed["pvt"] = begin - self.delay
         return [what for what, sample in needed.items() if self._through[what] < sample]
+
+    def miss_motion(self, begin: int) -> None:
+        """Take back that the station is still, or moves, once nobody has said so for D.
+
+        Only where a span was not waited for (real time): the detector has died, or hangs.
+        """
+        through = self._through["motion"]
+        if begin - through <= self.delay or self.timeline.state(begin) == MotionKind.UNKNOWN:
+            return
+        nothing = np.zeros(6, np.float32)
+        since = max(through + 1, self.first_sample)
+        kind = int(MotionKind.UNKNOWN)
+        self.timeline.push(MotionState(since, begin, kind, "silence", nothing, nothing))
 
     def due_pvts(self, horizon: int) -> list[Pvt]:
         """Return positions up to a sample that have not been returned yet, in order."""

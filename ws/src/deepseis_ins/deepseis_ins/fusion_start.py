@@ -1,4 +1,4 @@
-"""The start of a surveyed station: place, attitude, gyro biases from its first still seconds."""
+"""The start of a surveyed station: from its first still seconds, or, while it moves, from GNSS."""
 
 from __future__ import annotations
 
@@ -7,7 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepseis_core.errors import InputError
-from deepseis_core.geodesy import ecef_from_enu, geodetic_from_ecef, rotation_enu_ecef
+from deepseis_core.geodesy import (
+    ecef_from_enu,
+    geodetic_from_ecef,
+    rotation_enu_ecef,
+    rotation_ned_ecef,
+)
 from deepseis_core.imu_grades import ImuGrade
 from deepseis_core.rotation import (
     enu_flu_from_ned_frd,
@@ -17,7 +22,7 @@ from deepseis_core.rotation import (
     ned_frd_from_enu_flu,
     quat_from_matrix,
 )
-from deepseis_core.types import FloatArray, Station
+from deepseis_core.types import FloatArray, Pvt, Station
 from deepseis_ins.alignment import Alignment, Still, gyro_bias, gyrocompassed, levelled
 from deepseis_ins.fusion_config import FusionConfig
 from deepseis_ins.loose import LooseConfig, LooseFilter
@@ -145,3 +150,52 @@ def start_filter(
         smoothing=config.smoothing_lag_s > 0.0,
     )
     return filter, corrected
+
+
+def start_moving(
+    config: FusionConfig,
+    loose: LooseConfig,
+    grade: ImuGrade,
+    site: Site,
+    pvt: Pvt,
+    rate_b: FloatArray,
+) -> LooseFilter:
+    """Make the filter of a surveyed station that may be moving.
+
+    Place and attitude are those of the survey, to the sigmas ``joined_*``; the velocity is that
+    of GNSS; biases are unknown as the grade says. The IMU's own errors need no rest to be found:
+    the updates with GNSS do that, more slowly.
+
+    Parameters
+    ----------
+    config : FusionConfig
+    loose : LooseConfig
+    grade : ImuGrade
+    site : Site
+        With a surveyed attitude.
+    pvt : Pvt
+        Epoch at which the filter starts; it must have a velocity.
+    rate_b : ndarray, shape (3,)
+        Rate of turn measured then, forward-right-down [rad/s].
+
+    Raises
+    ------
+    InputError
+        The attitude has not been surveyed.
+    """
+    if site.C_nb is None:
+        raise InputError("fusion", "cannot start while moving: the orientation is not surveyed")
+    latitude, longitude, height = (float(v) for v in site.imu_geodetic(site.C_nb))
+    C_ne = rotation_ned_ecef(latitude, longitude)
+    lever = site.C_nb @ np.cross(rate_b, site.lever_arm_b)
+    velocity = C_ne @ np.asarray(pvt.velocity_ecef) - lever
+    formal = np.sqrt(np.diag(np.reshape(pvt.velocity_covariance_ecef, (3, 3))).max())
+    nav = NavState(latitude, longitude, height, velocity, quat_from_matrix(site.C_nb))
+    return LooseFilter(
+        loose,
+        grade,
+        nav,
+        attitude_sd=np.radians([config.joined_attitude_sd_deg] * 3),
+        position_sd=[config.joined_position_sd] * 3,
+        velocity_sd=[max(config.joined_velocity_sd, float(formal))] * 3,
+    )

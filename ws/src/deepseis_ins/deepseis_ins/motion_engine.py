@@ -61,6 +61,11 @@ class MotionEngine:
         self.valid_through = -1
         self.switches = 0
 
+    def join(self, sample_index: int) -> None:
+        """Begin with the first whole group at or after a sample of a running graph."""
+        before = self._number_at(sample_index) - 1
+        self._next = (-(-before // self._group) + 1) * self._group
+
     def push(self, sample: ImuSample) -> None:
         """Take an IMU sample, in order."""
         self._queue.append(sample)
@@ -102,7 +107,10 @@ class MotionEngine:
 
     def _number(self, sample: ImuSample) -> int:
         """Return a sample's number: that of the clock's first interval is 1."""
-        return round(sample.sample_index / self._step)
+        return self._number_at(sample.sample_index)
+
+    def _number_at(self, sample_index: int) -> int:
+        return round(sample_index / self._step)
 
     def _end(self, number: int) -> int:
         return int(number * self._step)

@@ -83,6 +83,10 @@ class TruthAider:
         """Last sample that aiding has been given for."""
         return self.next_sample - 1
 
+    def join(self, sample: int) -> None:
+        """Begin with the span of a sample: the graph runs already."""
+        self.first_sample = self.next_sample = sample // self.block * self.block
+
     def source_valid(self, through: int) -> None:
         """Note that the source has announced samples up to ``through``."""
         self.source_through = max(self.source_through, through)

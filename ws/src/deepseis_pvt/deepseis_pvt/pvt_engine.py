@@ -89,6 +89,8 @@ class PvtEngine:
         Receiver time of samples; None before the first fix.
     worked_through : int
         Last sample that epochs, or attempts at the first fix, have been worked through to.
+    was_forced : bool
+        Whether the last epoch was worked through without waiting for all.
     allowed_through : int
         Last sample that may be worked through, as far as others than the trackers have a say.
     """
@@ -117,6 +119,7 @@ class PvtEngine:
         )
         self.clock: GridClock | None = None
         self.worked_through, self.allowed_through = -1, EVER
+        self.was_forced = False
         self._attempt = 0
         self._next_ns = 0
         self._state: FloatArray | None = None
@@ -142,6 +145,10 @@ class PvtEngine:
     def utc_ns(observations: Observations) -> int:
         """Return the UTC of an epoch in Unix nanoseconds."""
         return GpsTime(observations.week, observations.tow_ns).to_utc_ns()
+
+    def join(self, sample: int) -> None:
+        """Begin with the first attempt after a sample of a running graph."""
+        self._attempt = -(-sample // round(self.config.first_fix_step * self.sample_rate_hz))
 
     def push_epochs(self, epochs: TrackingEpochs) -> None:
         """Take the integrations of one satellite and IF block."""
@@ -189,10 +196,13 @@ class PvtEngine:
 
     def _may_work(self, sample_index: int, force_through: int | None) -> bool:
         known = sample_index <= min(self.store.ephemerides_through(), self.allowed_through)
+        self.was_forced = False
         if known and self.builder.reached(sample_index):
             return True
         if force_through is not None and sample_index <= force_through:
+            self.was_forced = True
             self._counts["forced"] += 1
+            self.store.give_up_ephemerides(sample_index)
             return True
         return False
 

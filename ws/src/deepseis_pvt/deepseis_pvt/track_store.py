@@ -101,6 +101,12 @@ class TrackStore:
         """Return the sample up to which every ephemeris that was announced has arrived."""
         return min((p[0][0] for p in self._promised if p), default=np.iinfo(np.int64).max)
 
+    def give_up_ephemerides(self, sample_index: int) -> None:
+        """Wait no longer for those announced before a sample: their tracker may have died."""
+        for promised in self._promised:
+            while promised and promised[0][0] < sample_index:
+                promised.popleft()
+
     def laggard(self) -> str:
         """Return the satellite whose messages reach least far."""
         return self.satellites[int(np.argmin(self.published))]

@@ -97,8 +97,13 @@ class AcquisitionEngine:
             for name, (through, count) in self.trackers.items()
         )
 
-    def advance(self) -> list[AcquisitionResult] | None:
+    def advance(self, *, force: bool = False) -> list[AcquisitionResult] | None:
         """Work through one block.
+
+        Parameters
+        ----------
+        force : bool
+            Do not wait for trackers any longer (a deadline has passed).
 
         Returns
         -------
@@ -112,7 +117,8 @@ class AcquisitionEngine:
         slot_samples = round(self.slots.slot_ms * 1e-3 * block.sample_rate_hz)
         slot = block.sample_index // slot_samples
         first = self.slot < 0
-        if slot != self.slot and not first and not self._trackers_ready(slot * slot_samples):
+        ready = first or force or self._trackers_ready(slot * slot_samples)
+        if slot != self.slot and not ready:
             return None
         self.blocks.popleft()
         results: list[AcquisitionResult] = []
@@ -138,7 +144,8 @@ class AcquisitionEngine:
             self._acquirer = Acquirer(rate, self.config)
         start = self.slot * slot_samples
         for satellite, sample in [r for r in self.requests if r[1] <= start]:
-            if satellite in self.satellites:
+            # A tracker started again asks for all; who was not tracked has a turn already.
+            if satellite in self.satellites and satellite not in self.due_from:
                 self.due_from[satellite] = sample
                 self.lost_at[satellite] = sample
         self.requests = [r for r in self.requests if r[1] > start]

@@ -29,6 +29,8 @@ from deepseis_tracking.baseband_window import BasebandWindow
 from deepseis_tracking.channel import Channel, TrackingConfig
 
 ALL_SATELLITES = [f"G{prn:02d}" for prn in range(1, 33)]
+STALE_S = 2.0
+"""A code phase found so long ago may have drifted away: 10 Hz are 0.013 chips [s]."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,7 @@ class TrackingEngine:
         self.baseband: Baseband | None = None
         self.slot = -1
         self.done_through = -1
+        self.joined_at = self._stale_through = -1
         self.counters = {"blocks": 0, "gaps": 0, "aid_missed": 0, "late_results": 0}
 
     def compile(self) -> None:
@@ -117,6 +120,15 @@ class TrackingEngine:
         blank = np.zeros(64, np.int8)
         window.push(blank, blank, 0)
         channel.advance(window, 0, 0)
+
+    def join(self, sample: int, sample_rate_hz: float) -> None:
+        """Begin at a sample of a running graph: all channels are idle, and say so.
+
+        All satellites are asked for anew; of what was found before, which a late reader gets too,
+        only the newest is of use. Counts of results are not waited for.
+        """
+        self.joined_at, self.acquisition_count = sample, 0
+        self._stale_through = sample - round(STALE_S * sample_rate_hz)
 
     def push_block(self, block: IfBlock) -> None:
         """Take the next IF block; blocks come in order."""
@@ -137,7 +149,8 @@ class TrackingEngine:
     def acquisition_valid(self, through: int, result_count: int) -> None:
         """Note that all ``result_count`` results up to ``through`` have been published."""
         self.acquisition_through = max(self.acquisition_through, through)
-        self.acquisition_count = max(self.acquisition_count, result_count)
+        if self.joined_at < 0:
+            self.acquisition_count = max(self.acquisition_count, result_count)
 
     def _slot_of(self, block: IfBlock) -> int:
         return block.sample_index // self._slot_samples(block)
@@ -185,8 +198,12 @@ class TrackingEngine:
         slot = self._slot_of(block)
         new_slot, self.slot = slot != self.slot, slot
         self._prepare(block)
+        if 0 <= self.joined_at == block.sample_index:
+            output.requests += [(satellite, block.sample_index) for satellite in self.channels]
+            self.request_count += len(self.channels)
         if new_slot:
-            self._hand_over(slot * self._slot_samples(block))
+            # Not before the samples at hand: the stream may begin, or go on, within a slot.
+            self._hand_over(max(slot * self._slot_samples(block), block.sample_index))
         end = block.sample_index + block.sample_count
         self._take_aiding(end - 1)
         slot_end = (slot + 1) * self._slot_samples(block) - 1
@@ -221,15 +238,16 @@ class TrackingEngine:
             for channel in self.channels.values():
                 channel.drop(TrackingFlag.GAP)
 
-    def _hand_over(self, slot_start: int) -> None:
+    def _hand_over(self, start: int) -> None:
         """Give results that are due to idle channels."""
-        due = [r for r in self.results if r.effective_sample_index <= slot_start]
-        self.results = [r for r in self.results if r.effective_sample_index > slot_start]
+        due = [r for r in self.results if r.effective_sample_index <= start]
+        due = [r for r in due if r.effective_sample_index > self._stale_through]
+        self.results = [r for r in self.results if r.effective_sample_index > start]
         for result in sorted(due, key=lambda r: (r.effective_sample_index, r.satellite)):
             channel = self.channels[result.satellite]
             if channel.mode == TrackingMode.IDLE:
-                self.counters["late_results"] += result.effective_sample_index < slot_start
-                channel.hand_over(result, max(result.effective_sample_index, slot_start))
+                self.counters["late_results"] += result.effective_sample_index < start
+                channel.hand_over(result, max(result.effective_sample_index, start))
 
     def _take_aiding(self, last_sample: int) -> None:
         while self.aiding and self.aiding[0].valid_from <= last_sample:

@@ -2,7 +2,8 @@
 
 A watermark may overtake messages on other topics. Where these do not say themselves through which
 sample they are complete, the watermark counts them (`event_count`), and the reader waits until it
-has received as many.
+has received as many. In real time one of the two may die and be started again: then counts begin
+anew at one end only and mean nothing, and watermarks hold as they come.
 """
 
 from __future__ import annotations
@@ -13,15 +14,21 @@ from collections import deque
 class CountedInput:
     """Messages on one topic, and the watermarks that count them.
 
+    Parameters
+    ----------
+    counting : bool
+        False: this reader joins a running graph, watermarks hold as they come.
+
     Attributes
     ----------
     valid_through : int
         Last sample through which everything has arrived.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, counting: bool = True) -> None:
+        self.counting = counting
         self.valid_through = -1
-        self._received = 0
+        self._received = self._newest = 0
         self._announced: deque[tuple[int, int]] = deque()
 
     def received(self) -> None:
@@ -31,10 +38,12 @@ class CountedInput:
 
     def announced(self, count: int, valid_through: int) -> None:
         """Take a watermark, and how many messages it stands for."""
+        self.counting &= count >= self._newest  # less: another process speaks for the one before
+        self._newest = count
         self._announced.append((count, valid_through))
         self._settle()
 
     def _settle(self) -> None:
-        while self._announced and self._announced[0][0] <= self._received:
+        while self._announced and (not self.counting or self._announced[0][0] <= self._received):
             _, through = self._announced.popleft()
             self.valid_through = max(self.valid_through, through)

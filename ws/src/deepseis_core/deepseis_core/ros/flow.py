@@ -3,6 +3,9 @@
 Every member of the graph announces on ``flow/<name>`` through which sample its outputs are
 complete and its inputs consumed. It is *ready* when all its publishers have the subscribers that
 the graph's description promises, so nothing published later can be missed.
+
+In real time a node that died is started again and *joins* the running graph: it leaves aside what
+comes before it is ready, and begins with the first sample after that (`Flow.entry`).
 """
 
 from __future__ import annotations
@@ -37,6 +40,7 @@ class FlowConfig:
     )
     expected_subscribers: list[str] = setting([], "what to wait for: topic=count [-]")
     flow_stride_ms: int = setting(0, "announce that often while nobody waits [ms]", low=0)
+    rejoin: bool = setting(False, "realtime: the graph runs already, join it at the present [-]")
 
 
 class Flow:
@@ -50,7 +54,9 @@ class Flow:
         self.ready = False
         self.ended = False
         self.shared_count = 0
+        self.entry = -1
         self._subscriptions: list[Any] = []
+        self._followers: list[tuple[str, Callable[[Watermark], None]]] = []
         self._last: tuple[int, int, int] = (-1, -1, 0)
         self._pending: Watermark | None = None
         self._announced_ns = 0
@@ -81,6 +87,8 @@ class Flow:
     ) -> None:
         """Subscribe to other members' watermarks; the newest is in ``others``."""
         for name in names:
+            if callback is not None:
+                self._followers.append((name, callback))
 
             def on_watermark(msg: Watermark, name: str = name) -> None:
                 self.others[name] = msg
@@ -94,6 +102,27 @@ class Flow:
                     Watermark, f"flow/{name}", on_watermark, qos.STREAM_LATCHED
                 )
             )
+
+    @property
+    def rejoins(self) -> bool:
+        """The graph runs already; others' counts of what came before do not hold here."""
+        return self.config.rejoin and not self.lockstep
+
+    def admits(self, sample_index: int) -> bool:
+        """Tell whether what begins at a sample is for this node; the first sets ``entry``.
+
+        A node from the start admits everything: nothing is sent before all are ready.
+        """
+        if not self.rejoins:
+            return True
+        if self.entry < 0 and self.ready and sample_index >= 0:
+            self.entry = sample_index
+        return 0 <= self.entry <= sample_index
+
+    @property
+    def came_too_late(self) -> bool:
+        """The graph's stream ended before this node was there."""
+        return self.rejoins and self.ready and self.entry < 0
 
     def when_ready(self, callback: Callable[[], None]) -> None:
         """Call back once all endpoints are matched."""
@@ -117,6 +146,9 @@ class Flow:
         self.flush()
         for callback in self._on_ready:
             callback()
+        for name, follower in self._followers if self.rejoins else ():
+            if name in self.others:  # it may have spoken for the last time
+                follower(self.others[name])
 
     def send(
         self,

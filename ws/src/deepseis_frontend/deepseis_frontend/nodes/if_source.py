@@ -73,7 +73,13 @@ class IfSourceNode(Node):
         self.advance()
 
     def members_ready(self) -> bool:
-        """Tell whether every member has its endpoints matched, and the onlookers see."""
+        """Tell whether every member has its endpoints matched, and the onlookers see.
+
+        Asked at the start only: in real time a member may die, and join again, while all others
+        go on.
+        """
+        if self.started_at:
+            return True
         others = self.flow.others
         awaited = [*self.config.members, *self.config.onlookers]
         return self.flow.ready and all(m in others and others[m].ready for m in awaited)

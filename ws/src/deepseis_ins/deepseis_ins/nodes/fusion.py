@@ -14,6 +14,7 @@ from sensor_msgs.msg import Imu
 from deepseis_core.config import setting
 from deepseis_core.imu_grades import grade_named
 from deepseis_core.imu_message import decode_imu
+from deepseis_core.latency import Arrivals
 from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_core.ros import codecs, diagnostics, qos
 from deepseis_core.ros.cdr import encode_message
@@ -23,6 +24,7 @@ from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.odometry import odometry_from_solution
 from deepseis_core.ros.parameters import declare, reject_unknown
+from deepseis_core.ros.realtime import RealtimeReport
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import Ephemeris, MotionState, PrecisePosition, Pvt, Station
 from deepseis_ins.fusion_config import FusionConfig
@@ -86,8 +88,9 @@ class FusionNode(Node):
         self.odometry = publish_on("ins/odometry", Odometry, qos.STREAM)
         self.motion = publish_on("seismo/displacement", Displacement, qos.STREAM)
         self.diagnostics = publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
-        self.inputs = {name: CountedInput() for name in FOLLOWED}
-        self.orbits, self.precise = CountedInput(), CountedInput()
+        counting = not self.flow.rejoins
+        self.inputs = {name: CountedInput(counting=counting) for name in FOLLOWED}
+        self.orbits, self.precise = (CountedInput(counting=counting) for _ in range(2))
         self.motions = 0
         self.second, self.progressed = -1, time.monotonic()
         self.create_subscription(Imu, "imu/data_raw", self.on_imu, qos.STREAM, raw=True)
@@ -96,7 +99,11 @@ class FusionNode(Node):
         subscribe(self, codecs.PRECISE_POSITION, "gnss/precise", self.on_precise, qos.STREAM)
         subscribe(self, codecs.EPHEMERIS, "gnss/ephemeris", self.on_ephemeris, qos.LATCHED)
         self.flow.follow(FOLLOWED, self.on_watermark)
+        self.arrivals = Arrivals()
+        self.realtime: RealtimeReport | None = None
         if not self.flow.lockstep:
+            meters = {"imu_to_aiding": "from IMU sample to aiding"}
+            self.realtime = RealtimeReport(self, "fusion", meters, config.fusion_deadline_ms)
             self.create_timer(0.005, self.on_deadline)
 
     def station(self) -> Station:
@@ -120,7 +127,9 @@ class FusionNode(Node):
 
     def on_imu(self, data: bytes) -> None:
         """Take an IMU sample."""
-        self.engine.push_imu(decode_imu(data, self.clock)[0])
+        sample = decode_imu(data, self.clock)[0]
+        self.arrivals.note(sample.sample_index, time.monotonic())
+        self.engine.push_imu(sample)
         self.inputs["imu_source"].received()
         self.work()
 
@@ -150,6 +159,9 @@ class FusionNode(Node):
 
     def on_watermark(self, msg: Watermark) -> None:
         """Take how far another node is."""
+        waits = self.flow.rejoins and self.flow.entry < 0 and not msg.end_of_stream
+        if waits and msg.node == "if_source" and self.flow.admits(msg.valid_through + 1):
+            self.engine.join(self.flow.entry)
         count = 0 if msg.node == "if_source" else msg.event_count
         self.inputs[msg.node].announced(count, msg.valid_through)
         if msg.node == "pvt":
@@ -165,6 +177,8 @@ class FusionNode(Node):
     def work(self, *, force: bool = False) -> None:
         """Publish all spans that are due."""
         engine, inputs = self.engine, self.inputs
+        if self.flow.rejoins and self.flow.entry < 0:
+            return self.look_for_end()
         engine.source_valid(inputs["if_source"].valid_through)
         engine.imu_valid(inputs["imu_source"].valid_through + 1)
         engine.motion_valid(inputs["motion_state"].valid_through)
@@ -173,10 +187,14 @@ class FusionNode(Node):
         while (output := engine.advance(force)) is not None:
             self.publish(output)
             self.progressed, force = time.monotonic(), False  # each span has its own deadline
+        self.look_for_end()
+
+    def look_for_end(self) -> None:
+        """Finish when the source has."""
         source = self.flow.others.get("if_source")
         if source is None or not source.end_of_stream or self.flow.ended:
             return
-        if engine.valid_through >= source.valid_through:
+        if self.engine.valid_through >= source.valid_through or self.flow.came_too_late:
             self.flow.finish()
 
     def publish(self, output: FusionOutput) -> None:
@@ -184,6 +202,7 @@ class FusionNode(Node):
         through = self.engine.valid_through
         first = self.clock.utc_ns(output.aiding.knot_sample_index)
         self.aiding.publish(codecs.DOPPLER_AIDING.encode(output.aiding, first))
+        self.note(output, through + 1)
         solution = output.solution
         if len(solution.sample_index):
             utc_ns = self.clock.utc_ns(int(solution.sample_index[0]))
@@ -198,6 +217,16 @@ class FusionNode(Node):
         utc_ns = self.clock.utc_ns(through)
         self.flow.send(through, through, event_count=self.motions, utc_ns=utc_ns)
 
+    def note(self, output: FusionOutput, end: int) -> None:
+        """Real time: note what a span lacked, and how long ago its last IMU sample came."""
+        if self.realtime is None:
+            return
+        for what in output.late.split():
+            self.realtime.misses.note(what, end - self.engine.block, self.engine.block)
+        came = self.arrivals.of(end)
+        if came is not None:
+            self.realtime.meters["imu_to_aiding"].add(time.monotonic() - came)
+
     def report(self, output: FusionOutput, through: int) -> None:
         """Publish the counters, once a second of samples and when the status changes."""
         second = int(through / self.clock.sample_rate_hz)
@@ -211,6 +240,8 @@ class FusionNode(Node):
             self.diagnostics.publish(
                 diagnostics.encoded("fusion", level, str(output.status), values, utc_ns)
             )
+            if self.realtime is not None:
+                self.realtime.publish(utc_ns)
 
 
 def main() -> None:

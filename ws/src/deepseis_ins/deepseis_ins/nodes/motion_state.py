@@ -53,13 +53,19 @@ class MotionStateNode(Node):
         self.clock = SampleClock(config.start_utc_ns, config.sample_rate_hz)
         self.publisher = self.flow.publish_on("motion/state", MotionState, qos.LATCHED)
         self.diagnostics = self.flow.publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
-        self.imu, self.said, self.second = CountedInput(), 0, -1
+        self.imu = CountedInput(counting=not self.flow.rejoins)
+        self.said, self.second = 0, -1
         self.create_subscription(Imu, "imu/data_raw", self.on_imu, qos.STREAM, raw=True)
         self.flow.follow(["imu_source"], self.on_source)
 
     def on_imu(self, data: bytes) -> None:
         """Take a sample."""
-        self.engine.push(decode_imu(data, self.clock)[0])
+        sample = decode_imu(data, self.clock)[0]
+        if not self.flow.admits(sample.sample_index):
+            return
+        if self.flow.entry == sample.sample_index:
+            self.engine.join(sample.sample_index)
+        self.engine.push(sample)
         self.imu.received()
         self.work()
 
@@ -70,6 +76,8 @@ class MotionStateNode(Node):
 
     def work(self) -> None:
         """Decide all that can be decided, and say so."""
+        if self.flow.rejoins and self.flow.entry < 0:
+            return self.look_for_end()
         for through, states in self.engine.advance(self.imu.valid_through + 1):
             for state in states:
                 self.said += 1
@@ -78,10 +86,14 @@ class MotionStateNode(Node):
             self.report(through)
             utc_ns = self.clock.utc_ns(through)
             self.flow.send(through, through - 1, event_count=self.said, utc_ns=utc_ns)
+        self.look_for_end()
+
+    def look_for_end(self) -> None:
+        """Finish when the IMU has."""
         source = self.flow.others.get("imu_source")
         if source is None or not source.end_of_stream or self.flow.ended:
             return
-        if self.imu.valid_through >= source.valid_through:
+        if self.imu.valid_through >= source.valid_through or self.flow.came_too_late:
             self.flow.finish()
 
     def report(self, through: int) -> None:

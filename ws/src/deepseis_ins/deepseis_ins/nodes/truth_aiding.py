@@ -74,6 +74,10 @@ class TruthAidingNode(Node):
 
     def on_source(self, msg: Watermark) -> None:
         """Take how far the source is."""
+        if self.flow.rejoins and self.flow.entry < 0:
+            if msg.end_of_stream or not self.flow.admits(msg.valid_through + 1):
+                return self.look_for_end()
+            self.aider.join(self.flow.entry)
         self.aider.source_valid(msg.valid_through)
         self.work()
 
@@ -91,10 +95,14 @@ class TruthAidingNode(Node):
             through = self.aider.valid_through
             self.report(aiding.satellites)
             self.flow.send(through, through, utc_ns=self.clock.utc_ns(through))
+        self.look_for_end()
+
+    def look_for_end(self) -> None:
+        """Finish when the source has."""
         source = self.flow.others.get("if_source")
         if source is None or not source.end_of_stream or self.flow.ended:
             return
-        if self.aider.valid_through >= source.valid_through:
+        if self.aider.valid_through >= source.valid_through or self.flow.came_too_late:
             self.flow.finish()
 
     def report(self, satellites: tuple[str, ...]) -> None:

@@ -21,6 +21,7 @@ from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.navsat import fix_from_pvt
 from deepseis_core.ros.parameters import declare, reject_unknown
+from deepseis_core.ros.realtime import RealtimeReport
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import Ephemeris, MotionState, TrackingEpochs
 from deepseis_core.types import Observations as ObservationsValue
@@ -103,7 +104,9 @@ class PvtNode(Node):
             base,
         )
         followed = [*([MOTION] * precise.wait_motion), *([BASE] * precise.wait_base)]
-        self.witnesses = {name: CountedInput() for name in followed}
+        self.witnesses = {
+            name: CountedInput(counting=not self.flow.rejoins) for name in followed
+        }
         self.members = [*config.trackers, *followed]
         self.load_navigation()
         self.clock: SampleClock | None = None
@@ -125,6 +128,7 @@ class PvtNode(Node):
             self.displacement[RTK_TOPIC] = publish_on(RTK_TOPIC, PrecisePosition, qos.STREAM)
             subscribe(self, codecs.OBSERVATIONS, "base/observations", self.on_base, qos.STREAM)
         self.flow.follow(self.members, self.on_watermark)
+        self.realtime = None if self.flow.lockstep else RealtimeReport(self, "pvt")
         if not self.flow.lockstep:
             self.create_timer(0.02, self.on_deadline)
 
@@ -140,6 +144,10 @@ class PvtNode(Node):
 
     def on_epochs(self, epochs: TrackingEpochs, utc_ns: int) -> None:
         """Queue the integrations."""
+        if not self.flow.admits(epochs.block_sample_index):
+            return
+        if self.flow.entry >= 0 and self.clock is None:
+            self.engine.join(self.flow.entry)
         if self.clock is None:
             rate = self.config.sample_rate_hz
             self.clock = SampleClock.from_sample(epochs.block_sample_index, utc_ns, rate)
@@ -207,6 +215,9 @@ class PvtNode(Node):
             self.precise.base_valid(self.witnesses[BASE].valid_through)
         self.engine.allowed_through = self.precise.allowed_through
         for epoch in self.engine.steps(force_through):
+            if self.realtime is not None and self.engine.was_forced:
+                step = round(self.config.sample_rate_hz / self.engine.builder.config.rate_hz)
+                self.realtime.misses.note("trackers", self.engine.worked_through, step)
             if epoch is not None:
                 self.publish(*epoch)
             self.report_each_second()
@@ -252,6 +263,8 @@ class PvtNode(Node):
         text = f"{counts['positions']} positions" if self.engine.clock else "no fix yet"
         level = diagnostics.OK if self.engine.clock and not counts["forced"] else diagnostics.WARN
         self.diagnostics.publish(diagnostics.encoded("pvt", level, text, counts, utc_ns))
+        if self.realtime is not None:
+            self.realtime.publish(utc_ns)
 
     def close(self) -> None:
         """Finish the files."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -13,6 +14,7 @@ from deepseis_core.ros.codecs import subscribe
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
+from deepseis_core.ros.realtime import RealtimeReport
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import IfBlock
 from deepseis_msgs.msg import AcquisitionRequest, AcquisitionResult, Watermark
@@ -27,6 +29,7 @@ class PeersConfig:
     """Whose requests to wait for."""
 
     trackers: list[str] = setting([], "flow members that make requests [-]")
+    tracker_deadline_ms: float = setting(150.0, "realtime: wait so long for a tracker [ms]", low=0)
 
 
 class AcquisitionNode(Node):
@@ -36,26 +39,32 @@ class AcquisitionNode(Node):
         super().__init__("acquisition")
         self.flow = Flow(self, process, "acquisition", declare(self, FlowConfig))
         slots, search = declare(self, SlotConfig), declare(self, AcquisitionConfig)
-        retry, peers = declare(self, RetryConfig), declare(self, PeersConfig)
+        retry, self.peers = declare(self, RetryConfig), declare(self, PeersConfig)
         forecast = Forecast(declare(self, WarmStart))
         reject_unknown(self)
         self.engine = AcquisitionEngine(
             check_satellites(slots.satellites), search, slots, retry, forecast
         )
-        self.engine.expect_trackers(peers.trackers)
+        self.engine.expect_trackers(self.peers.trackers)
         self.publisher = self.flow.publish_on("acquisition/result", AcquisitionResult, qos.LATCHED)
         self.diagnostics = self.flow.publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
         self.clock: SampleClock | None = None
         self.second, self.announced = -1, -1
-        self.flow.follow(peers.trackers, self.on_tracker)
+        self.progressed = time.monotonic()
+        self.realtime = None if self.flow.lockstep else RealtimeReport(self, "acquisition")
+        self.flow.follow(self.peers.trackers, self.on_tracker)
         self.flow.follow(["if_source"], lambda _msg: self.work())
         subscribe(self, codecs.IF_BLOCK, "if/samples", self.on_if_block, qos.STREAM)
         self.create_subscription(
             AcquisitionRequest, "acquisition/request", self.on_request, qos.LATCHED
         )
+        if not self.flow.lockstep:
+            self.create_timer(0.02, self.on_deadline)
 
     def on_if_block(self, block: IfBlock, utc_ns: int) -> None:
         """Queue the block."""
+        if not self.flow.admits(block.sample_index):
+            return
         if self.clock is None:
             rate = block.sample_rate_hz
             self.clock = SampleClock.from_sample(block.sample_index, utc_ns, rate)
@@ -78,10 +87,20 @@ class AcquisitionNode(Node):
         self.engine.tracker_valid(msg.node, msg.valid_through, msg.event_count)
         self.work()
 
-    def work(self) -> None:
+    def on_deadline(self) -> None:
+        """Realtime: do not wait longer for a tracker, which may have died."""
+        overdue = time.monotonic() - 1e-3 * self.peers.tracker_deadline_ms
+        self.work()
+        if self.engine.blocks and self.progressed < overdue and self.realtime is not None:
+            block = self.engine.blocks[0]
+            self.realtime.misses.note("trackers", block.sample_index, block.sample_count)
+            self.work(force=True)
+
+    def work(self, *, force: bool = False) -> None:
         """Work through all that the watermarks allow and publish."""
         engine, clock = self.engine, self.clock
-        while (results := engine.advance()) is not None and clock is not None:
+        while (results := engine.advance(force=force)) is not None and clock is not None:
+            self.progressed, force = time.monotonic(), False
             for result in results:
                 stamp = clock.utc_ns(result.sample_index)
                 self.publisher.publish(codecs.ACQUISITION_RESULT.encode(result, stamp))
@@ -102,7 +121,7 @@ class AcquisitionNode(Node):
         source = self.flow.others.get("if_source")
         if source is None or not source.end_of_stream or self.flow.ended:
             return
-        if engine.consumed_through >= source.valid_through:
+        if engine.consumed_through >= source.valid_through or self.flow.came_too_late:
             self.flow.finish()
 
     def report(self, utc_ns: int) -> None:
@@ -112,6 +131,8 @@ class AcquisitionNode(Node):
         self.diagnostics.publish(
             diagnostics.encoded("acquisition", diagnostics.OK, text, counters, utc_ns)
         )
+        if self.realtime is not None:
+            self.realtime.publish(utc_ns)
 
 
 def main() -> None:

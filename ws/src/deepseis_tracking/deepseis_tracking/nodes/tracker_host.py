@@ -12,12 +12,14 @@ from rclpy.node import Node
 
 from deepseis_core.config import setting
 from deepseis_core.errors import InputError
+from deepseis_core.latency import Arrivals
 from deepseis_core.ros import codecs, diagnostics, qos
 from deepseis_core.ros.cdr import encode_message
 from deepseis_core.ros.codecs import subscribe
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process
 from deepseis_core.ros.parameters import declare, reject_unknown
+from deepseis_core.ros.realtime import RealtimeReport
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import AcquisitionResult, Aiding, IfBlock
 from deepseis_msgs.msg import AcquisitionRequest, Ephemeris, TrackingEpochs, Watermark
@@ -80,6 +82,8 @@ class TrackerHost:
         self.flow.follow(["if_source"], self.on_source)
         if self.config.wait_acquisition:
             self.flow.follow(["acquisition"], self.on_acquisition)
+        self.realtime = None if self.flow.lockstep else self.realtime_report()
+        self.came = {"imu_to_use": Arrivals(), "aiding_to_use": Arrivals()}
         self.subscriptions = self.subscribe()
         if not self.flow.lockstep:
             node.create_timer(0.01, self.on_deadline)
@@ -96,10 +100,45 @@ class TrackerHost:
         if self.config.aiding:
             aiding = codecs.DOPPLER_AIDING
             made.append(subscribe(node, aiding, "aiding/doppler", self.on_aiding, qos.STREAM))
+        if self.config.aiding and not self.flow.lockstep:
+            self.flow.follow(["imu_source"], self.on_imu)
         return made
+
+    def realtime_report(self) -> RealtimeReport:
+        """Make the report of misses, and of latencies if there is aiding."""
+        texts = {"imu_to_use": "from IMU sample to use", "aiding_to_use": "from aiding to use"}
+        return RealtimeReport(
+            self.node,
+            self.name,
+            texts if self.config.aiding else {},
+            self.config.aiding_deadline_ms,
+        )
+
+    def on_imu(self, msg: Watermark) -> None:
+        """Note when IMU samples were there: it is the fusion that works with them."""
+        self.came["imu_to_use"].note(msg.valid_through, time.monotonic())
+
+    def note(self, block: IfBlock, missing: str) -> None:
+        """Real time: note what a block lacked, and how old its aiding is by now."""
+        if self.realtime is None:
+            return
+        last = block.sample_index + block.sample_count - 1
+        aided = not self.config.aiding or self.engine.aiding_through >= last
+        lacked = {missing} - {"", "samples", "aiding"} | ({"aiding"} if not aided else set())
+        for what in lacked:
+            self.realtime.misses.note(what, block.sample_index, block.sample_count)
+        now = time.monotonic()
+        for key, meter in self.realtime.meters.items() if aided else ():
+            came = self.came[key].of(last)
+            if came is not None:
+                meter.add(now - came)
 
     def on_if_block(self, block: IfBlock, utc_ns: int) -> None:
         """Queue the block; work through all that the inputs' watermarks allow."""
+        if not self.flow.admits(block.sample_index):
+            return
+        if self.flow.rejoins and self.engine.joined_at < 0:
+            self.engine.join(block.sample_index, block.sample_rate_hz)
         self.arrivals.append(time.monotonic())
         self.engine.push_block(block)
         if self.clock is None:
@@ -119,6 +158,7 @@ class TrackerHost:
 
     def on_aiding(self, aiding: Aiding, _utc_ns: int) -> None:
         """Take aiding."""
+        self.came["aiding_to_use"].note(aiding.valid_through, time.monotonic())
         self.engine.push_aiding(aiding)
         self.work()
 
@@ -140,8 +180,10 @@ class TrackerHost:
 
     def work(self, *, force: bool = False) -> None:
         """Work through all blocks whose inputs are there and publish."""
+        missing = self.engine.waiting_for() if force else ""
         while (output := self.engine.advance(force=force)) is not None:
-            force = False
+            self.note(output.block, missing)
+            force, missing = False, ""
             self.arrivals.popleft()
             self.publish(output)
         if self.engine.blocks:
@@ -149,7 +191,7 @@ class TrackerHost:
         source = self.flow.others.get("if_source")
         if source is None or not source.end_of_stream or self.flow.ended:
             return
-        if self.engine.done_through >= source.valid_through:
+        if self.engine.done_through >= source.valid_through or self.flow.came_too_late:
             self.flow.finish()
 
     def publish(self, output: BlockOutput) -> None:
@@ -181,3 +223,5 @@ class TrackerHost:
         level, text, values = self.engine.health()
         level_byte = diagnostics.WARN if level else diagnostics.OK
         self.diagnostics.publish(diagnostics.encoded(self.name, level_byte, text, values, utc_ns))
+        if self.realtime is not None:
+            self.realtime.publish(utc_ns)
