@@ -1,0 +1,161 @@
+"""The closed loop by the clock: lockstep bytes until a miss, within the filter's sigma after."""
+
+import contextlib
+import os
+import signal
+import time
+from collections import defaultdict
+from dataclasses import replace
+
+import graph_runs
+import numpy as np
+import pytest
+
+from deepseis_bringup.accept_scene import RATE_HZ, Scene, aided
+from deepseis_bringup.graph import build_graph
+from deepseis_bringup.graph_payloads import run_graph
+from deepseis_bringup.recording_queue import stamp_of_cdr
+from deepseis_bringup.supervisor import Supervisor, own_domain, running
+from deepseis_bringup.watch import GraphWatch
+from deepseis_core.ros import codecs
+from deepseis_core.types import TrackingFlag
+from deepseis_sim import scenario as scenarios
+from deepseis_sim.motions import Circle
+from deepseis_sim.sky import SkyConfig
+
+pytestmark = [pytest.mark.launch, pytest.mark.timeout(240)]
+
+BUSY = os.getloadavg()[0] > 2 * (os.cpu_count() or 1)
+PACE = 0.5 if BUSY else 1.5
+ONSET, STOP, LENGTH = 6.5, 8.0, 11.0
+STOPPED_S = 0.3
+BLOCK_NS = 20_000_000
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """Nine satellites; 3 cm at 2 Hz from 6.5 s on: 0.5 g."""
+    circle = Circle(radius=0.03, frequency_hz=2.0, start=ONSET, duration=LENGTH, ramp=0.5)
+    base = scenarios.load_scenario("sine-2hz", short=True)
+    sky = SkyConfig(satellites=9)
+    small = replace(base, duration=LENGTH, motion=(circle,), sky=sky, base=None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("deepseis_bringup.accept_scene.load_scenario", lambda *_, **__: small)
+        return Scene("sine-2hz", tmp_path_factory.mktemp("scene"), short=True)
+
+
+@pytest.fixture(scope="module")
+def lockstep(scene, tmp_path_factory):
+    return run_graph(scene.config(aided(8.0)), tmp_path_factory.mktemp("lockstep") / "run")
+
+
+@pytest.fixture(scope="module")
+def live(scene, tmp_path_factory):
+    """The same by the clock; the fusion's process stands still for 0.3 s during the motion."""
+    folder, config = tmp_path_factory.mktemp("live"), scene.config(aided(8.0))
+    config = replace(
+        config,
+        source={**config.source, "pace": PACE},
+        mode="realtime",
+        record_dir=str(folder / "bag"),
+        record_if=False,
+        output_dir=str(folder),
+        watched=True,
+    )
+    stopped = False
+    with own_domain() as environment:
+        nodes = Supervisor(build_graph(config), folder, environment=environment)
+        with running(nodes), GraphWatch(environment) as watch:
+
+            def poll():
+                nonlocal stopped
+                if watch.poll() > STOP * RATE_HZ and not stopped:
+                    stopped = True
+                    pause(nodes.processes["fusion"].pid)
+
+            nodes.wait(poll=poll, timeout=120)
+    run = graph_runs.Run(folder, {})
+    return run, {name.lstrip("/"): data for name, data in run.payloads().items()}
+
+
+def pause(pid):
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        time.sleep(STOPPED_S)
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGCONT)
+
+
+def misses(run):
+    """Runs of samples that each node went on without something: (node, what) to pairs."""
+    found = defaultdict(list)
+    for name, said in run.statuses().items():
+        for _, _, values in said if name.endswith(" misses") else ():
+            for what, runs in values.items():
+                pairs = [tuple(map(int, pair.split("-"))) for pair in runs.split()]
+                found[name.removesuffix(" misses"), what] += pairs
+    return found
+
+
+def test_every_miss_is_listed_by_its_samples(live):
+    run, payloads = live
+    listed = misses(run)
+    blocks = set()
+    for begin, end in listed["trackers", "aiding"]:
+        blocks.update(range(begin, end + 1, 80_000))
+    missed = STOPPED_S - 0.05  # the deadline passes first
+    around = [b for b in blocks if STOP - 0.5 < b / RATE_HZ < STOP + 1.5]
+    assert len(around) >= 0.5 * missed * PACE / 0.02
+    level, _, values = run.statuses()["trackers"][-1]
+    assert (level, int(values["aid_missed"])) == (1, len(blocks))
+    # An integration says it itself: it ends in a block that is listed.
+    for topic, messages in payloads.items():
+        for data in messages if topic.startswith("tracking/") else ():
+            batch = codecs.TRACKING_EPOCHS.decode(data)[0]
+            flagged = bool(np.any(batch.flags & TrackingFlag.AID_MISSED != 0))
+            assert not flagged or batch.block_sample_index in blocks, topic
+
+
+def test_until_the_first_miss_the_bytes_are_those_of_lockstep(live, lockstep):
+    run, payloads = live
+    first = min(begin for runs in misses(run).values() for begin, _ in runs)
+    if not BUSY:
+        assert first / RATE_HZ > STOP - 0.5
+    start_ns = stamp_of_cdr(lockstep["imu/data_raw"][0]) - round(1e9 / 200)
+    limit_ns = start_ns + round(first / RATE_HZ * 1e9) - BLOCK_NS
+    compared = 0
+    for topic, expected in lockstep.items():
+        if topic == "diagnostics":
+            continue
+        one, other = (
+            [data for data in messages if stamp_of_cdr(data) < limit_ns]
+            for messages in (payloads.get(topic, []), expected)
+        )
+        assert one == other, topic
+        compared += len(one)
+    assert compared > 100 or first / RATE_HZ < 1.0
+
+
+def test_the_samples_are_the_same_throughout(live, lockstep):
+    assert live[1]["imu/data_raw"] == lockstep["imu/data_raw"]
+
+
+def test_after_misses_it_stays_within_the_filter_s_own_sigma(live, lockstep):
+    spans = [
+        {span.valid_from: span for span in map(decode, messages["aiding/doppler"]) if span.valid}
+        for messages in (live[1], lockstep)
+    ]
+    both = sorted(spans[0].keys() & spans[1].keys())
+    assert len([b for b in both if b > STOP * RATE_HZ]) > 75
+    for begin in both:
+        one, other = spans[0][begin], spans[1][begin]
+        assert one.satellites == other.satellites
+        shape = len(one.satellites), one.knot_count
+        apart = np.abs(one.carrier_doppler_hz - other.carrier_doppler_hz).reshape(shape)
+        sigma = np.hypot(one.doppler_sd_hz, other.doppler_sd_hz)
+        assert (apart.max(axis=1) <= 3.0 * sigma).all(), begin / RATE_HZ
+
+
+def decode(data):
+    return codecs.DOPPLER_AIDING.decode(data)[0]
