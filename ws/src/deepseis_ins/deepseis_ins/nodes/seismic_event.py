@@ -47,12 +47,15 @@ class SeismicEventNode(Node):
         self.clock = SampleClock(config.start_utc_ns, config.sample_rate_hz)
         self.events = self.flow.publish_on("seismo/event", SeismicEvent, qos.LATCHED)
         self.diagnostics = self.flow.publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
-        self.motion, self.second, self.said = CountedInput(), -1, 0
+        self.motion = CountedInput(counting=not self.flow.rejoins)
+        self.second, self.said = -1, 0
         subscribe(self, codecs.DISPLACEMENT, "seismo/displacement", self.on_motion, qos.STREAM)
         self.flow.follow(["fusion"], self.on_fusion)
 
     def on_motion(self, motion: Displacement, _utc_ns: int) -> None:
         """Take ground motion."""
+        if not self.flow.admits(motion.valid_through):
+            return
         for report in self.engine.push(motion):
             self.said += 1
             self.events.publish(codecs.SEISMIC_EVENT.encode(report.event, report.utc_ns))
@@ -81,14 +84,13 @@ class SeismicEventNode(Node):
     def tell(self) -> None:
         """Say how far everything is."""
         through = self.motion.valid_through
-        if through < 0:
-            return
-        utc_ns = self.clock.utc_ns(through)
-        self.flow.send(through, through, event_count=self.said, utc_ns=utc_ns)
+        if through >= 0:
+            utc_ns = self.clock.utc_ns(through)
+            self.flow.send(through, through, event_count=self.said, utc_ns=utc_ns)
         fusion = self.flow.others.get("fusion")
         if fusion is None or not fusion.end_of_stream or self.flow.ended:
             return
-        if through >= fusion.valid_through:
+        if 0 <= fusion.valid_through <= through or self.flow.came_too_late:
             self.flow.finish()
 
 
