@@ -108,7 +108,9 @@ def script(path, text):
 def supervise(tmp_path, monkeypatch):
     def make(*, deaths, status=1, restarts=None):
         scripts = {
-            "if_source": script(tmp_path / "if_source", SOURCE.format(here=str(tmp_path), lives=deaths)),
+            "if_source": script(
+                tmp_path / "if_source", SOURCE.format(here=str(tmp_path), lives=deaths)
+            ),
             "fusion": script(
                 tmp_path / "fusion",
                 NODE.format(here=str(tmp_path), deaths=deaths, status=status),
@@ -146,9 +148,7 @@ def test_a_node_that_ends_well_before_the_source_is_missed_too(supervise, tmp_pa
 
 
 def test_after_too_many_deaths_the_graph_is_stopped_and_the_node_named(supervise, tmp_path):
-    nodes = supervise(
-        deaths=99, restarts=Restarts(RestartConfig(limit=2, backoff_s=(0.0,)))
-    )
+    nodes = supervise(deaths=99, restarts=Restarts(RestartConfig(limit=2, backoff_s=(0.0,))))
     nodes.start()
     try:
         with pytest.raises(NodeFailureError, match="node fusion: ended with status 1"):

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from deepseis_bringup.graph import GraphConfig
-from deepseis_bringup.inertial import is_bag
 from deepseis_core.errors import InputError
 from deepseis_core.mcap_scan import McapScan
 from deepseis_frontend.if_bag import bag_files
+from deepseis_frontend.imu_open import is_bag
 from deepseis_frontend.nodes.base_bag import TOPIC
 
 LOOKED_AT = 4000

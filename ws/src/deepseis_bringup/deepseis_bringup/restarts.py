@@ -8,8 +8,8 @@ from enum import Enum
 from time import monotonic
 from typing import Final
 
-NEVER: Final = frozenset({"if_source", "recorder"})
-"""Nodes without which there is no run: their death ends it."""
+NEVER: Final = frozenset({"if_source", "base_source", "recorder"})
+"""Nodes without which there is no run, or that cannot join one: their death ends it."""
 
 
 class State(Enum):

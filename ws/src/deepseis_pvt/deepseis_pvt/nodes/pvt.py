@@ -104,9 +104,7 @@ class PvtNode(Node):
             base,
         )
         followed = [*([MOTION] * precise.wait_motion), *([BASE] * precise.wait_base)]
-        self.witnesses = {
-            name: CountedInput(counting=not self.flow.rejoins) for name in followed
-        }
+        self.witnesses = {name: CountedInput(counting=not self.flow.rejoins) for name in followed}
         self.members = [*config.trackers, *followed]
         self.load_navigation()
         self.clock: SampleClock | None = None
