@@ -23,7 +23,7 @@ from deepseis_sim import scenario as scenarios
 from deepseis_sim.motions import Circle
 from deepseis_sim.sky import SkyConfig
 
-pytestmark = [pytest.mark.launch, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.launch, pytest.mark.slow, pytest.mark.timeout(240)]
 
 BUSY = os.getloadavg()[0] > 2 * (os.cpu_count() or 1)
 PACE = 0.5 if BUSY else 1.5

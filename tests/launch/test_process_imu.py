@@ -9,7 +9,7 @@ from deepseis_core.geodesy import geodetic_from_ecef
 from deepseis_core.imu_grades import grade_named
 from deepseis_core.ros import codecs
 
-pytestmark = [pytest.mark.launch, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.launch, pytest.mark.slow, pytest.mark.timeout(180)]
 
 LENGTH, RATE_HZ = 6.5, 200
 EARTH_RATE = 7.292115e-5
