@@ -122,6 +122,16 @@ def test_positions_of_pvt_while_precise_ones_are_lost(
     assert engine.statistics["updates"] == pytest.approx(10 * (5.0 - 0.15), abs=2)
 
 
+def test_positions_shown_as_motion_are_an_epoch_apart_also_after_a_loss(
+    run: FusionBench, precise: list[PrecisePosition]
+) -> None:
+    spans = run.run(run.engine(precise=without(precise, 10.0, 12.0)), 14.0).spans
+    shown = [m for s in spans for m in s.motion if m.source == DisplacementSource.GNSS]
+    assert len(shown) > 300
+    # The bench's receiver clock runs 1e-7 fast.
+    assert [m.interval for m in shown] == pytest.approx([0.02] * len(shown), abs=1e-8)
+
+
 def test_a_jump_of_precise_positions_is_no_displacement(
     run: FusionBench, precise: list[PrecisePosition]
 ) -> None:

@@ -19,7 +19,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from deepseis_core.errors import InputError
+from deepseis_core.gps_time import GpsTime
 from deepseis_core.imu_grades import ImuGrade
 from deepseis_core.types import (
     Aiding,
@@ -103,7 +106,9 @@ class FusionEngine(FusionInputs):
         self.writer = SolutionWriter(self.site.monument_ecef, self.site.C_enu_e, self.interpolator)
         self.ground = GroundMotion(grade, self.history.dt, self.interpolator)
         self._gnss_motion: list[Displacement] = []
-        self._precise_at = -1
+        self._precise_at: GpsTime | None = None
+        self._precise_step = np.inf
+        self._unspaced: list[PrecisePosition] = []
         self.oscillator: OscillatorTerms | None = None
         if config.oscillator_on_body:
             self.oscillator = OscillatorTerms(config, sample_rate_hz)
@@ -200,13 +205,20 @@ class FusionEngine(FusionInputs):
             self.delayed.push(pvt)
 
     def _take_precise(self, position: PrecisePosition) -> None:
+        before, at = self._precise_at, GpsTime(position.week, position.tow_ns)
+        self._precise_at = at
+        if before is not None and (step := 1e-9 * at.diff_ns(before)) > 0.0:
+            self._precise_step = min(self._precise_step, step)  # more where epochs are lost
         epoch = PreciseEpoch.of(position, self.site.antenna_ecef, self.site.C_enu_e)
         if epoch is None:
             return
-        interval = (epoch.sample_index - self._precise_at) / self.sample_rate_hz
-        self._precise_at = epoch.sample_index
-        through = self.next_sample + self.block - 1
-        self._gnss_motion.append(of_precise(position, through, interval))
+        self._unspaced.append(position)
+        if np.isfinite(self._precise_step):
+            through = self.next_sample + self.block - 1
+            self._gnss_motion += [
+                of_precise(item, through, self._precise_step) for item in self._unspaced
+            ]
+            self._unspaced = []
         if self.config.precise and self.delayed is not None:
             self.delayed.push_precise(epoch)
 
