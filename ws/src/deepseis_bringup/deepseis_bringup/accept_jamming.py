@@ -96,7 +96,7 @@ def code_overlap_db(prn: int, bandwidth_hz: float) -> float:
     --------
     The whole main lobe holds 90 % of the code's power, spread over twice the chip rate:
 
-    >>> round(code_overlap_db(7, 2.046e6), 1)
+    >>> round(code_overlap_db(1, 2.046e6), 1)
     -3.5
     """
     chips = ca_code(prn).astype(np.float64)

@@ -36,7 +36,7 @@ def peak_displacement(magnitude: float, distance: float) -> float:
     Examples
     --------
     >>> round(peak_displacement(9.0, 100e3), 1)
-    9.2
+    9.1
     """
     return 1e-2 * float(10.0 ** (A + magnitude * _slope(distance)))
 
