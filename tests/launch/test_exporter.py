@@ -93,7 +93,9 @@ def speak(publish):
     """Say four seconds of everything."""
     coarse0 = START.to_utc_ns() - COARSE_LATE_NS
     publish["station"].publish(codecs.STATION.encode(station(), coarse0))
+    time.sleep(2.0)  # readers match writers in their own time
     for k in range(SECONDS * 10):
+        time.sleep(0.05)
         time_ns = k * 10**8
         fix = pvt(START.add_ns(time_ns), k * 400_000)
         publish["gnss/pvt"].publish(codecs.PVT.encode(fix, coarse0))

@@ -79,8 +79,14 @@ class GraphWatch:
             )
 
     def _on_member(self, msg: Watermark) -> None:
+        self._heard(msg)
+
+    def _heard(self, msg: Watermark) -> None:
+        """Take a watermark; one that is repeated is no progress."""
+        before = self.said.get(msg.node)
+        if before is None or _progress(before) != _progress(msg):
+            self.moved_at = time.monotonic()
         self.said[msg.node] = msg
-        self.moved_at = time.monotonic()
 
     def require_progress(self) -> None:
         """Complain if nobody has said anything for `PATIENCE`.
@@ -103,7 +109,7 @@ class GraphWatch:
         now = time.monotonic()
         if msg.valid_through >= 0 and not self.started_at:
             self.started_at = now
-        self.moved_at, self.said[msg.node] = now, msg
+        self._heard(msg)
         if msg.valid_through > self.valid_through:
             self.ended_at = now
         self.valid_through = max(self.valid_through, msg.valid_through)
@@ -138,3 +144,7 @@ class GraphWatch:
         """Leave the graph."""
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
+
+
+def _progress(msg: Watermark) -> tuple[int, int, bool, bool]:
+    return msg.valid_through, msg.consumed_through, msg.ready, msg.end_of_stream

@@ -29,6 +29,10 @@ ACKNOWLEDGE_SECONDS = 5.0
 """Time for all readers to acknowledge everything at the end [s]."""
 
 
+REPEAT_SECONDS = 1.0
+"""A node that has nothing new to say repeats its watermark so often [s]."""
+
+
 @dataclass(frozen=True)
 class FlowConfig:
     """A node's place in the graph (filled by the graph's description)."""
@@ -59,9 +63,12 @@ class Flow:
         self._followers: list[tuple[str, Callable[[Watermark], None]]] = []
         self._last: tuple[int, int, int] = (-1, -1, 0)
         self._pending: Watermark | None = None
+        self._newest: Watermark | None = None
+        self._said_at = 0.0
         self._announced_ns = 0
         self._on_ready: list[Callable[[], None]] = []
         self._timer = node.create_timer(0.02, self._check_ready)
+        node.create_timer(REPEAT_SECONDS, self._repeat)
 
     @property
     def lockstep(self) -> bool:
@@ -161,7 +168,12 @@ class Flow:
         end_of_stream: bool = False,
         utc_ns: int = 0,
     ) -> None:
-        """Announce progress, at the latest every ``flow_stride_ms`` or at `flush`."""
+        """Announce progress, at the latest every ``flow_stride_ms`` or at `flush`.
+
+        After the end there is nothing more to announce.
+        """
+        if self.ended and not end_of_stream:
+            return
         count = self._last[2] if event_count is None else event_count
         self._last = (valid_through, consumed_through, count)
         msg = Watermark(node=self.name, ready=self.ready, end_of_stream=end_of_stream)
@@ -180,7 +192,13 @@ class Flow:
         """Announce what is held back: someone may be waiting for it."""
         if self._pending is not None:
             self.publisher.publish(self._pending)
-            self._pending = None
+            self._newest, self._pending = self._pending, None
+            self._said_at = time.monotonic()
+
+    def _repeat(self) -> None:
+        """Say the newest watermark again: in lockstep all wait for a reader that missed it."""
+        if self._newest is not None and time.monotonic() - self._said_at >= REPEAT_SECONDS:
+            self.publisher.publish(self._newest)
 
     def finish(self) -> None:
         """Announce the end after everything published has reached its readers."""
