@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,7 +93,9 @@ class FusionNode(Node):
         self.inputs = {name: CountedInput(counting=counting) for name in FOLLOWED}
         self.orbits, self.precise = (CountedInput(counting=counting) for _ in range(2))
         self.motions = 0
-        self.second, self.progressed = -1, time.monotonic()
+        self.second, self.looked = -1, 0.0
+        self.due: deque[tuple[int, float]] = deque()
+        self.overdue_through = -1
         self.create_subscription(Imu, "imu/data_raw", self.on_imu, qos.STREAM, raw=True)
         subscribe(self, codecs.MOTION_STATE, "motion/state", self.on_motion, qos.LATCHED)
         subscribe(self, codecs.PVT, "gnss/pvt", self.on_pvt, qos.STREAM)
@@ -163,6 +166,8 @@ class FusionNode(Node):
         if waits and msg.node == "if_source" and self.flow.admits(msg.valid_through + 1):
             self.engine.join(self.flow.entry)
         count = 0 if msg.node == "if_source" else msg.event_count
+        if msg.node == "if_source" and self.realtime is not None:
+            self.due.append((msg.valid_through, time.monotonic()))
         self.inputs[msg.node].announced(count, msg.valid_through)
         if msg.node == "pvt":
             self.orbits.announced(msg.ephemeris_count, msg.valid_through)
@@ -170,11 +175,23 @@ class FusionNode(Node):
         self.work()
 
     def on_deadline(self) -> None:
-        """Realtime: do not wait longer for what is late."""
-        if time.monotonic() - self.progressed > 1e-3 * self.config.fusion_deadline_ms:
-            self.work(force=True)
+        """Realtime: do not wait longer for what is late, counted from the samples' arrival.
 
-    def work(self, *, force: bool = False) -> None:
+        Not from the last step: lateness would add up, and the loop of aiding would stay late.
+        """
+        now = time.monotonic()
+        if now - self.looked > 0.1:  # this process itself stood still: its inputs are queued
+            self.due = deque((through, now) for through, _ in self.due)
+        self.looked = now
+        while self.due and self.due[0][1] < now - 1e-3 * self.config.fusion_deadline_ms:
+            self.overdue_through, _ = self.due.popleft()
+        self.work()
+
+    def is_overdue(self) -> bool:
+        """Whether the next span is not to be waited for."""
+        return self.engine.next_sample + self.engine.block - 1 <= self.overdue_through
+
+    def work(self) -> None:
         """Publish all spans that are due."""
         engine, inputs = self.engine, self.inputs
         if self.flow.rejoins and self.flow.entry < 0:
@@ -184,9 +201,8 @@ class FusionNode(Node):
         engine.motion_valid(inputs["motion_state"].valid_through)
         told = inputs["pvt"], self.orbits, self.precise
         engine.pvt_valid(min(item.valid_through for item in told))
-        while (output := engine.advance(force)) is not None:
+        while (output := engine.advance(self.is_overdue())) is not None:
             self.publish(output)
-            self.progressed, force = time.monotonic(), False  # each span has its own deadline
         self.look_for_end()
 
     def look_for_end(self) -> None:
