@@ -19,9 +19,11 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
 from deepseis_bringup.accept import Acceptance, Goal, Row
+from deepseis_bringup.accept_displacement_figures import displacement_figures
 from deepseis_bringup.accept_position import true_position
 from deepseis_bringup.accept_scene import Loop, Scene, aided
 from deepseis_bringup.offline import Output
+from deepseis_bringup.report_plot import Figure
 from deepseis_core.types import (
     Displacement,
     DisplacementSource,
@@ -40,6 +42,7 @@ BENCHMARK: Final = {PLAIN: (6.0, 56.5), AIDED: (1.9, 8.0), FUSED: (0.9, 3.5)}
 """GRL 2020, a shaken Wenchuan record of 0.5 to 2 g: amplitude error [mm], lag [ms]."""
 HORIZONTAL, VERTICAL = 3.0, 8.0
 """Goal of displacement in real time without a base, RMS [mm]."""
+TABLE: Final = "GRL 2020 benchmark"
 SCENES: Final[dict[str, tuple[str, ...]]] = {
     "sine-2hz": (),
     "quake": (),
@@ -171,33 +174,38 @@ def accept_displacement(folder: Path, *, short: bool, say: Say = lambda _text: N
     acceptance.remarks.append(
         "The benchmark's Wenchuan record is not at hand: our scenes stand in for it."
     )
+    pictures: list[Figure] = []
     with tempfile.TemporaryDirectory(dir=folder, prefix=".input.") as place:
         for name, settings in SCENES.items():
             say(f"{name}: simulating")
             scene = Scene(name, Path(place), short=short, settings=settings)
             if scene.stands_in:
                 acceptance.remarks.append(f"{name}: an artificial motion stands in.")
-            acceptance.add(*scene_rows(scene, say))
+            rows, figures = measure_scene(scene, say)
+            acceptance.add(*rows)
+            pictures += figures
+    acceptance.figures.append((TABLE, pictures))
     acceptance.write(folder)
     return acceptance
 
 
-def scene_rows(scene: Scene, say: Say) -> list[Row]:
-    """Return the lines of one scene."""
+def measure_scene(scene: Scene, say: Say) -> tuple[list[Row], list[Figure]]:
+    """Return lines and pictures of one scene."""
     t, moved = true_position(scene)
     truth = CubicSpline(t, moved)
     rows: list[Row] = []
+    streams: dict[str, Stream] = {}
     for loop in (plain(), aided(8.0)):
         say(f"{scene.name}: {loop.name}")
         listener = Listener(scene.scenario.start.time.tow_ns)
         scene.run(loop, listener)
-        streams = {AIDED if loop.aiding else PLAIN: listener.phases()}
+        streams[AIDED if loop.aiding else PLAIN] = listener.phases()
         if loop.aiding:
             streams[FUSED] = listener.fused()
-        for name, stream in streams.items():
-            figures = compare(stream, truth, scene.still, scene.moving)
-            rows += _rows(scene.name, name, figures)
-    return rows
+    for name, stream in streams.items():
+        figures = compare(stream, truth, scene.still, scene.moving)
+        rows += _rows(scene.name, name, figures)
+    return rows, displacement_figures(scene.name, streams, truth, scene.still, scene.moving)
 
 
 def plain() -> Loop:
@@ -207,7 +215,7 @@ def plain() -> Loop:
 
 
 def _rows(scene: str, stream: str, figures: Figures) -> Sequence[Row]:
-    table, live = "GRL 2020 benchmark", "real time, no base"
+    table, live = TABLE, "real time, no base"
     amplitude, lag = BENCHMARK[stream]
     ours = 1e3 * figures.left, 1e3 * abs(figures.lag)
     rms, greatest = 1e3 * figures.rms, 1e3 * figures.greatest
