@@ -17,12 +17,15 @@ from deepseis_pvt.rtklib_values import Navigation, gpst, satellite_name
 
 def postpos(rover, base, navigation, base_position, out):
     """Solve by RTKLIB's file loop, as ``rnx2rtkp`` does; return fixed and all, and positions."""
-    options, default = rtklib.prcopt_default, {}
-    for name, value in (("mode", rtklib.PMODE_KINEMA), ("navsys", rtklib.SYS_GPS), ("nf", 2)):
-        default[name] = getattr(options, name)
-        setattr(options, name, value)
-    elevation, options.elmin, options.refpos = options.elmin, np.radians(15.0), 0
+    options = rtklib.prcopt_default
+    options.mode, options.navsys, options.nf = rtklib.PMODE_KINEMA, rtklib.SYS_GPS, 2
+    options.elmin, options.refpos = np.radians(15.0), 0
+    # RTKLIB's defaults, for they are one object for all who ask, and other tests set them.
+    options.modear, options.thresar[0] = 1, 3.0
+    options.ionoopt, options.tropopt = rtklib.IONOOPT_OFF, rtklib.TROPOPT_OFF
+    options.err[0], options.err[1], options.err[2] = 100.0, 0.003, 0.003
     for i in range(3):
+        options.eratio[i], options.std[i] = (100.0, 100.0, 0.0)[i], (30.0, 0.03, 0.3)[i]
         options.rb[i] = float(base_position[i])
     solution = rtklib.solopt_default
     solution.posf = rtklib.SOLF_XYZ
@@ -30,15 +33,10 @@ def postpos(rover, base, navigation, base_position, out):
     name = rtklib.Arr1Dchar(len(str(out)) + 1)
     for place, letter in enumerate(str(out) + "\0"):
         name[place] = letter
-    try:
-        rtklib.postpos(
-            zero, zero, 0.0, 0.0, options, solution, rtklib.filopt_t(), files, len(files),
-            name, "", "",
-        )  # fmt: skip
-    finally:
-        options.elmin = elevation
-        for item, value in default.items():
-            setattr(options, item, value)
+    rtklib.postpos(
+        zero, zero, 0.0, 0.0, options, solution, rtklib.filopt_t(), files, len(files),
+        name, "", "",
+    )  # fmt: skip
     rows = [line.split() for line in out.read_text().splitlines() if line[:1] not in "%"]
     return np.array([[float(x) for x in row[2:6]] for row in rows])
 
