@@ -28,6 +28,9 @@ ENCODERS: Final[Mapping[str, Callable[[Any, int], bytes]]] = {
 
 ORDER: Final = {topic: number for number, topic in enumerate(ENCODERS)}
 
+FOREVER_S: Final = 1e6
+"""Longer than any simulation takes [s]."""
+
 
 class InputBag:
     """Writes values to a bag that replays as input; a context manager.
@@ -49,7 +52,8 @@ class InputBag:
         records: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
         self.start_utc_ns = start_utc_ns
-        self.bag = BagWriter(folder, records)
+        # Chunks are closed when they are full, never by the clock: same seed, same bytes.
+        self.bag = BagWriter(folder, records, flush_interval=FOREVER_S)
         self.counts = dict.fromkeys(ENCODERS, 0)
 
     def write(self, topic: str, value: Any, offset_ns: int, stamp_ns: int | None = None) -> None:
