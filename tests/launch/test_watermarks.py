@@ -62,13 +62,20 @@ def test_the_newest_is_repeated_and_nothing_follows_the_end(graph):
     assert all(m.end_of_stream and m.valid_through == 79_999 for m in heard[before:])
 
 
+def at(watch):
+    """Return how far the watch has heard the speaker to be."""
+    said = watch.said.get("speaker")
+    return said.valid_through if said is not None and said.ready else -1
+
+
 def test_a_repeated_watermark_is_no_progress(graph):
     flow, _, until, number = graph
     with GraphWatch({"ROS_DOMAIN_ID": str(number)}, members=["speaker"]) as watch:
         flow.send(79_999, 79_999, utc_ns=1)
-        until(lambda: watch.poll() and "speaker" in watch.said)
+        until(lambda: watch.poll() and at(watch) == 79_999)
         moved = watch.moved_at
         until(lambda: watch.poll() and time.monotonic() > moved + 1.0)
         assert watch.moved_at == moved
         flow.send(159_999, 159_999, utc_ns=2)
-        until(lambda: watch.poll() and watch.moved_at > moved)
+        until(lambda: watch.poll() and at(watch) == 159_999)
+        assert watch.moved_at > moved
