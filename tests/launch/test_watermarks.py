@@ -54,8 +54,11 @@ def test_the_newest_is_repeated_and_nothing_follows_the_end(graph):
     before = len(heard)
     until(lambda: len(heard) > before + 4)
     assert {(m.valid_through, m.event_count) for m in heard[before + 1 :]} == {(79_999, 4)}
+    flow.send(79_999, 79_999, event_count=4, ephemeris_count=3, precise_count=2, utc_ns=1)
     flow.finish()
     until(lambda: heard[-1].end_of_stream)
+    last = heard[-1]
+    assert (last.event_count, last.ephemeris_count, last.precise_count) == (4, 3, 2)
     flow.send(159_999, 159_999)
     before = len(heard)
     until(lambda: len(heard) > before + 4)

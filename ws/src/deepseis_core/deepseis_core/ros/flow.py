@@ -62,6 +62,7 @@ class Flow:
         self._subscriptions: list[Any] = []
         self._followers: list[tuple[str, Callable[[Watermark], None]]] = []
         self._last: tuple[int, int, int] = (-1, -1, 0)
+        self._other_counts = (0, 0)
         self._pending: Watermark | None = None
         self._newest: Watermark | None = None
         self._said_at = 0.0
@@ -176,6 +177,7 @@ class Flow:
             return
         count = self._last[2] if event_count is None else event_count
         self._last = (valid_through, consumed_through, count)
+        self._other_counts = (ephemeris_count, precise_count)
         msg = Watermark(node=self.name, ready=self.ready, end_of_stream=end_of_stream)
         msg.header.stamp = stamp_from_ns(utc_ns)
         msg.valid_through, msg.consumed_through = valid_through, consumed_through
@@ -208,7 +210,14 @@ class Flow:
                 left = max(0.0, deadline - time.monotonic())  # a reader may have died
                 publisher.wait_for_all_acked(Duration(nanoseconds=round(left * 1e9)))
         self.ended = True
-        self.send(self._last[0], self._last[1], end_of_stream=True)
+        # Readers go on waiting for all that was counted: fewer would say that it is another node.
+        ephemerides, precise = self._other_counts
+        self.send(
+            *self._last[:2],
+            ephemeris_count=ephemerides,
+            precise_count=precise,
+            end_of_stream=True,
+        )
 
     def fail(self, reason: str) -> None:
         """Tell everybody that this node gives up, and end the process."""
