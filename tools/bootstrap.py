@@ -84,6 +84,28 @@ def venv_digest() -> str:
     return hashlib.sha256(f"{ROOT}\n".encode() + LOCK.read_bytes()).hexdigest()
 
 
+def build_pins() -> str:
+    """Return the pins that what is compiled depends on: others may change without a rebuild."""
+    names = (
+        "ros-",
+        "colcon-",
+        "catkin",
+        "cmake=",
+        "empy=",
+        "lark",
+        "ninja=",
+        "numpy=",
+        "setuptools=",
+    )
+    return "\n".join(line for line in LOCK.read_text().splitlines() if line.startswith(names))
+
+
+def build_place() -> str:
+    """Identify what a workspace cannot outlive: its place, the interpreter, those pins."""
+    parts = f"{ROOT}\n{read_text(VENV / '.place')}\n{build_pins()}"
+    return hashlib.sha256(parts.encode()).hexdigest()
+
+
 def build_inputs() -> Iterator[tuple[str, bytes]]:
     """List what a build depends on; Python modules are linked and need none."""
     yield "tools", CMAKE_HOOK.read_bytes() + Path(__file__).read_bytes()
@@ -108,7 +130,7 @@ def interfaces(package: Path) -> list[Path]:
 
 def build_digest() -> str:
     """Identify the built workspace: environment and inputs."""
-    digest = hashlib.sha256(venv_digest().encode())
+    digest = hashlib.sha256(build_place().encode())
     for name, content in build_inputs():
         digest.update(f"{name} {len(content)}\n".encode() + content)
     return digest.hexdigest()
@@ -274,12 +296,12 @@ def make_underlay() -> None:
 def build_workspace() -> dict[str, str]:
     """Run colcon over ws/src and cache the environment it gives."""
     digest = build_digest()
-    if BUILDING.exists() or read_text(BUILD / "place") != venv_digest():
+    if BUILDING.exists() or read_text(BUILD / "place") != build_place():
         for name in ("build", "install", "log"):
             shutil.rmtree(BUILD / name, ignore_errors=True)
     forget_removed_interfaces()
     write_text(BUILDING, "")
-    write_text(BUILD / "place", venv_digest())
+    write_text(BUILD / "place", build_place())
     say("building the workspace")
 
     def progress(line: str) -> None:
