@@ -257,3 +257,27 @@ def test_a_million_samples_a_second() -> None:
     start = perf_counter()
     unit.apply(0, theta, vel)
     assert 500_000 / (perf_counter() - start) > 1e6
+
+
+def test_a_grade_of_ones_own_is_a_known_one_with_changes():
+    grade = grade_named("stim300 accel_walk_per_sqrt_h=0.06  has_gyros=false")
+    assert grade == replace(GRADES["stim300"], accel_walk_per_sqrt_h=0.06, has_gyros=False)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "is not known"),
+        ("tactical", "is not known"),
+        ("stim300 accel_bias", "no figure=value"),
+        ("stim300 colour=3", "no figure=value"),
+        ("stim300 accel_bias=1 accel_bias=2", "given twice"),
+        ("stim300 accel_bias=low", "no number"),
+        ("stim300 accel_bias=-1", "outside"),
+        ("stim300 accel_bias=nan", "not a number"),
+        ("stim300 has_gyros=1", "neither true nor false"),
+    ],
+)
+def test_a_grade_that_makes_no_sense_is_refused(text, reason):
+    with pytest.raises(InputError, match=reason):
+        grade_named(text)

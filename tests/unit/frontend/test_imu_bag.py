@@ -107,5 +107,5 @@ def test_parameters_follow_from_the_file_and_how_it_stands(tmp_path):
     assert found["imu_source"]["monument_ecef"] == monument
     with pytest.raises(InputError, match="the station's place is not known"):
         installed_parameters(path, signal, stands, ())
-    with pytest.raises(InputError, match="unknown grade 'tactical'"):
+    with pytest.raises(InputError, match="IMU grade 'tactical' is not known"):
         installed_parameters(path, signal, replace(stands, grade="tactical"), ())

@@ -63,7 +63,8 @@ def test_a_change_wins_over_the_file():
     [
         ("titel: x", 1, "titel is not known"),
         ("duration: -3", 1, "outside"),
-        ("imu:\n  grade: best", 2, "not one of"),
+        ("imu:\n  grade: best", 2, "is not known"),
+        ("imu:\n  grade: mti-g accel_range_g=wide", 2, "no number"),
         ("motion:\n- kind: circle\n  radius: wide", 3, "no number"),
         ("motion:\n- kind: spiral", 2, "'spiral' of motion is not known"),
         ("seed: 1\nsky:\n  obstructions: 3", 3, "not a list"),

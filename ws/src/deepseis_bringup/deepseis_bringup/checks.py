@@ -35,7 +35,29 @@ def steps() -> dict[str, list[str]]:
         "ruff format": ["ruff", "format", "--check", "."],
         "lint-imports": ["lint-imports"],
         "mypy": mypy,
+        "docs": site_command(project_root() / ".build" / "site"),
     }
+
+
+def site_command(output: Path) -> list[str]:
+    """Return the command that builds the site; a link that leads nowhere fails it."""
+    docs = project_root() / "docs"
+    doctrees = project_root() / ".build" / "doctrees"
+    return [
+        "sphinx-build",
+        "-q",
+        "-W",
+        "--keep-going",
+        "-d",
+        str(doctrees),
+        str(docs),
+        str(output),
+    ]
+
+
+def build_site(output: Path) -> bool:
+    """Build the site of docs/ and tell whether it is whole."""
+    return _run("docs", site_command(output))
 
 
 def environment() -> dict[str, str]:
@@ -51,23 +73,25 @@ def check() -> bool:
     """Run every check, show each with its time, and tell whether all passed."""
     passed = True
     for name, command in steps().items():
-        started = time.monotonic()
-        result = subprocess.run(
-            [str(Path(sys.executable).parent / command[0]), *command[1:]],
-            cwd=project_root(),
-            env=environment(),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        failed = result.returncode != 0
-        typer.echo(
-            f"{name:<14}{'FAILED' if failed else 'ok':<8}{time.monotonic() - started:.1f} s"
-        )
-        if failed:
-            typer.echo(result.stdout.rstrip())
-        passed = passed and not failed
+        passed = _run(name, command) and passed
     return passed
+
+
+def _run(name: str, command: list[str]) -> bool:
+    started = time.monotonic()
+    result = subprocess.run(
+        [str(Path(sys.executable).parent / command[0]), *command[1:]],
+        cwd=project_root(),
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    failed = result.returncode != 0
+    typer.echo(f"{name:<14}{'FAILED' if failed else 'ok':<8}{time.monotonic() - started:.1f} s")
+    if failed:
+        typer.echo(result.stdout.rstrip())
+    return not failed
 
 
 ALONE = "launch or benchmark"

@@ -1,5 +1,6 @@
 """The deepseis command: declares what can be run; each command imports what it needs."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -35,6 +36,19 @@ def check() -> None:
     from deepseis_bringup import checks
 
     raise typer.Exit(0 if checks.check() else 1)
+
+
+@app.command()
+def docs(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the site.")],
+) -> None:
+    """Build the site of docs/: guide, algorithms, all commands and messages."""
+    from deepseis_bringup import checks
+
+    built = checks.build_site(output.resolve())
+    if built:
+        typer.echo(output / "index.html")
+    raise typer.Exit(0 if built else 1)
 
 
 @app.command("test", context_settings=PASS_ON)

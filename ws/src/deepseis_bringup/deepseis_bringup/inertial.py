@@ -11,7 +11,7 @@ import numpy as np
 
 from deepseis_core.errors import InputError
 from deepseis_core.geodesy import ecef_from_enu
-from deepseis_core.imu_grades import GRADES
+from deepseis_core.imu_grades import GRADES, grade_named
 from deepseis_core.imu_message import decode_imu
 from deepseis_core.mcap_scan import McapScan
 from deepseis_core.sample_clock import SampleClock
@@ -67,9 +67,12 @@ def inertial_parameters(
     if stands is None and isinstance(imu, ImuFile):
         stands = imu.format.installation
     stands = stands or _described(path)
-    if stands.grade not in GRADES:
-        what = f"has an IMU of unknown grade {stands.grade!r}" if stands.grade else "has no grade"
-        raise InputError(path, what, "known: " + ", ".join(GRADES))
+    if not stands.grade:
+        raise InputError(path, "has no grade of the IMU", "known: " + ", ".join(GRADES))
+    try:
+        grade_named(stands.grade)
+    except InputError as error:
+        raise InputError(path, f"{error.what} {error.reason}", error.hint) from None
     common = {
         "start_utc_ns": clock.start_utc_ns,
         "imu_rate_hz": imu.rate_hz,

@@ -262,8 +262,53 @@ GRADES: Final[Mapping[str, ImuGrade]] = MappingProxyType(
 )
 
 
-def grade_named(name: str) -> ImuGrade:
-    """Look a grade up."""
+def grade_named(text: str) -> ImuGrade:
+    """Return the grade that a text names, with the changes that it makes.
+
+    A grade of one's own is one of `GRADES` and figures in place of its own, in the units of
+    `ImuGrade`: so it travels in messages and bags, and needs no file.
+
+    Parameters
+    ----------
+    text : str
+        A name, or a name and ``figure=value`` for each figure that differs.
+
+    Raises
+    ------
+    InputError
+        The name or a figure is not known, a value is no number or outside its limits.
+
+    Examples
+    --------
+    >>> grade_named("stim300 accel_walk_per_sqrt_h=0.06 accel_range_g=30").accel_range_g
+    30.0
+    """
+    name, *changes = text.split() or [""]
+    what = f"IMU grade {text!r}"
     if name not in GRADES:
-        raise InputError(f"IMU grade {name!r}", "is not known", f"one of {', '.join(GRADES)}")
-    return GRADES[name]
+        raise InputError(what, "is not known", f"one of {', '.join(GRADES)}")
+    values: dict[str, float | bool] = {}
+    for change in changes:
+        key, separator, value = change.partition("=")
+        if not separator or key not in _FIGURES or key in values:
+            reason = f"{change!r} is no figure=value, or given twice"
+            raise InputError(what, reason, f"figures: {', '.join(_FIGURES)}")
+        values[key] = _figure(what, key, value)
+    try:
+        return replace(GRADES[name], **values)  # type: ignore[arg-type]
+    except InputError as error:
+        raise InputError(what, error.reason) from None
+
+
+_FIGURES: Final = tuple(item.name for item in fields(ImuGrade))
+
+
+def _figure(what: str, key: str, value: str) -> float | bool:
+    if key == "has_gyros":
+        if value not in ("true", "false"):
+            raise InputError(what, f"{key} is {value!r}, neither true nor false")
+        return value == "true"
+    try:
+        return float(value)
+    except ValueError:
+        raise InputError(what, f"{key} is {value!r}, no number") from None

@@ -22,7 +22,7 @@ from deepseis_core.errors import InputError
 from deepseis_core.geodesy import ecef_from_geodetic
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.if_format import IfFormat
-from deepseis_core.imu_errors import GRADES
+from deepseis_core.imu_grades import grade_named
 from deepseis_core.types import FloatArray
 from deepseis_core.yaml_config import Entry, fill, overlay, override, read_yaml
 from deepseis_sim import artificial_earthquake, drive, gravity_lines, motions, recorded_motion
@@ -91,7 +91,7 @@ class StartConfig:
 class ImuConfig:
     """The inertial measurement unit, at the body's origin."""
 
-    grade: str = setting("span-fsas", "grade of the sensors", choices=tuple(GRADES))
+    grade: str = setting("span-fsas", "grade of the sensors (deepseis_core.imu_grades)")
     rate_hz: float = setting(200.0, "samples a second [Hz]", low=10.0, high=2000.0)
     lever_arm: tuple[float, float, float] = setting(
         (0.05, -0.03, 0.30), "from the IMU to the antenna, forward, left, up [m]"
@@ -210,6 +210,12 @@ def _names_a_record(text: str) -> bool:
 
 def _fill(tree: Entry) -> Scenario:
     scenario = fill(Scenario, tree, {MotionConfig: MOTION_KINDS})
+    if scenario.imu:
+        try:
+            grade_named(scenario.imu.grade)
+        except InputError as error:
+            place = tree.value["imu"].value["grade"].where
+            raise InputError(place, f"{error.what} {error.reason}", error.hint) from None
     where = tree.value.get("receiver", tree).where
     try:
         packing = scenario.receiver.format
