@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from deepseis_bringup.accept import Acceptance
+from deepseis_bringup.base import with_base
 from deepseis_bringup.graph import GraphConfig
 from deepseis_bringup.inertial import inertial_parameters
 from deepseis_bringup.loop_measures import (
@@ -61,7 +62,7 @@ class Work:
 
 @dataclass(frozen=True)
 class Loop:
-    """A way to run the trackers."""
+    """A way to run the trackers; ``nodes`` are parameters of others, by kind."""
 
     name: str
     aiding: str
@@ -69,6 +70,7 @@ class Loop:
     tracker: Mapping[str, Any]
     imu: str = ""
     fusion: Mapping[str, Any] = field(default_factory=dict)
+    nodes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 def conventional(bandwidth_hz: float) -> Loop:
@@ -141,6 +143,8 @@ class Recorded:
         What the quantiser takes of the truth's C/N0.
     settings : mapping of mappings
         Parameters of nodes that the recording needs.
+    base : bool
+        Solve against the base in the bag, too.
     """
 
     name: str
@@ -153,6 +157,7 @@ class Recorded:
     moving: tuple[float, float]
     loss_db: float = QUANTISING_DB
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    base: bool = False
 
     def config(self, loop: Loop) -> GraphConfig:
         """Return the graph for a loop, with the orbits and the place a station knows."""
@@ -169,13 +174,16 @@ class Recorded:
         for kind, more in self.settings.items():
             if kind in parameters:
                 parameters[kind] |= more
-        return GraphConfig(
+        for kind, more in loop.nodes.items():
+            parameters[kind] |= more
+        config = GraphConfig(
             source={"file": str(self.bag)},
             sample_rate_hz=RATE_HZ,
             satellites=self.truth.satellites,
             aiding=loop.aiding,
             parameters=parameters,
         )
+        return with_base(config) if self.base else config
 
     def inertial(self) -> dict[str, dict[str, Any]]:
         """Return the parameters of ``motion_state`` and ``fusion``."""
@@ -222,6 +230,8 @@ class Scene(Recorded):
         Changes of the scenario.
     label : str, optional
         What tells it from others of its name.
+    base : bool, optional
+        Solve against the base, too.
     """
 
     def __init__(
@@ -232,6 +242,7 @@ class Scene(Recorded):
         short: bool,
         settings: Sequence[str] = (),
         label: str = "",
+        base: bool = False,
     ) -> None:
         place = folder / (name + label)
         self.scenario = load_scenario(name, short=short, settings=settings)
@@ -254,4 +265,5 @@ class Scene(Recorded):
             self.scenario.start.week,
             (max(POLARITY_S, still[0]), still[1]),
             moving,
+            base=base,
         )

@@ -14,6 +14,7 @@ import numpy as np
 from deepseis_bringup.report_page import page
 from deepseis_bringup.run_data import RunData
 from deepseis_bringup.run_measures import Measures
+from deepseis_bringup.run_motion import errors, events, streams
 from deepseis_bringup.run_truth import Truth
 from deepseis_core.errors import InputError
 
@@ -100,6 +101,7 @@ def summary_of(measures: Measures) -> dict[str, Any]:
         "duration_s": round(run.duration, 6) if run.sample_rate_hz > 0 else 0.0,
         "sample_rate_hz": run.sample_rate_hz,
         **_position(measures),
+        **_motion(measures),
         "satellites_tracked": sum(v["phase_lock_s"] > 0 for v in of_satellites.values()),
         "satellites_used": len(used),
         "satellites_searched": max(len(searched), len(of_satellites)),
@@ -145,6 +147,27 @@ def _position(measures: Measures) -> dict[str, float]:
             "position_error_rms_m": float(np.sqrt((size**2).mean())),
             "position_error_max_m": float(size.max()),
         }
+    return found
+
+
+def _motion(measures: Measures) -> dict[str, Any]:
+    """Figures of ground motion: of the event with the greatest displacement, and of streams."""
+    found: dict[str, Any] = {}
+    if seen := events(measures.run):
+        event = max(seen, key=lambda item: float(item.peaks[-1, 0]))
+        pgd, pgv, pga = event.peaks[-1].tolist()
+        found = {
+            "events": len(seen),
+            "onset_s": event.onset,
+            "pgd_m": pgd,
+            "pgv_mps": pgv,
+            "pga_mps2": pga,
+            "magnitude": event.magnitude,
+        }
+    for name, error in errors(streams(measures.run), measures.truth).items():
+        key = name.replace(",", "").replace(" ", "_")
+        found[f"displacement_error_horizontal_m.{key}"] = _rms_length(error[:, :2])
+        found[f"displacement_error_up_m.{key}"] = _rms_length(error[:, 2:])
     return found
 
 

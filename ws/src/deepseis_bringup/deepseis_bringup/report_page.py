@@ -8,6 +8,7 @@ from html import escape
 from typing import Any, Final
 
 from deepseis_bringup import report_loops as loops
+from deepseis_bringup import report_motion as motion
 from deepseis_bringup import report_position as position
 from deepseis_bringup import report_signal as signal
 from deepseis_bringup.report_document import document, place, switches
@@ -69,6 +70,7 @@ def sections(measures: Measures, colours: Colours) -> list[tuple[str, list[Figur
                 signal.pull_in(measures, colours),
             ],
         ),
+        ("Ground motion", list(motion.figures(measures))),
         (
             "Position",
             [

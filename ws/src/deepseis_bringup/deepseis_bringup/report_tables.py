@@ -45,6 +45,9 @@ def tiles(measures: Measures, summary: Mapping[str, Any]) -> list[Tile]:
         span = f"{min(cn0):.1f} to {max(cn0):.1f} dB-Hz"
         found.append(Tile("C/N0, median", f"{np.median(cn0):.1f}", "dB-Hz", span))
     found.append(_phase(measures, summary))
+    if (pgd := summary.get("pgd_m")) is not None:
+        more = f"PGV {summary['pgv_mps']:.3g} m/s, PGA {summary['pga_mps2']:.3g} m/s²; "
+        found.append(Tile("PGD", f"{pgd:.3f}", "m", more + f"onset {summary['onset_s']:.2f} s"))
     if (factor := summary.get("real_time_factor")) is not None:
         spent = summary.get("graph_time_s") or summary.get("wall_time_s")
         signal = f"{summary['duration_s']:.0f} s of signal"

@@ -83,6 +83,31 @@ TOPICS: Final[Mapping[str, tuple[str, tuple[str, ...], tuple[str, ...], tuple[st
         (),
         (),
     ),
+    **{
+        topic: (
+            "deepseis_msgs/msg/PrecisePosition",
+            ("sample_index", "status"),
+            ("displacement_enu", "covariance_enu"),
+            (),
+        )
+        for topic in ("gnss/precise", "gnss/rtk")
+    },
+    "seismo/displacement": (
+        "deepseis_msgs/msg/Displacement",
+        ("source", "smoothed"),
+        (),
+        # Three values of the others belong to each epoch.
+        ("tow_ns", "displacement", "velocity", "acceleration", "displacement_sd", "velocity_sd"),
+    ),
+    "seismo/event": (
+        "deepseis_msgs/msg/SeismicEvent",
+        (
+            *("event_id", "onset", "ended", "onset_ratio", "peak_displacement", "peak_velocity"),
+            *("peak_acceleration", "hypocentral_distance", "magnitude", "magnitude_sd"),
+        ),
+        (),
+        (),
+    ),
 }
 """Topics read into columns: type, scalar, vector and joined fields."""
 
@@ -107,6 +132,7 @@ class RunData:
     observations: Columns = field(default_factory=Columns)
     pvt: Columns = field(default_factory=Columns)
     acquisition: Columns = field(default_factory=Columns)
+    motion: Mapping[str, Columns] = field(default_factory=dict)
     ephemerides: list[Ephemeris] = field(default_factory=list)
     diagnostics: list[Status] = field(default_factory=list)
     if_blocks: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
@@ -272,6 +298,8 @@ class _Reader:
         columns = {topic: builder.finish() for topic, builder in self.builders.items()}
         run.observations, run.pvt = columns["gnss/observations"], columns["gnss/pvt"]
         run.acquisition = columns["acquisition/result"]
+        of_motion = ("gnss/precise", "gnss/rtk", "seismo/displacement", "seismo/event")
+        run.motion = {topic: columns[topic] for topic in of_motion if columns[topic].count}
         run.if_blocks = np.array(self.blocks, np.int64).reshape(-1, 2)
         if not run.messages:
             raise InputError(bag, "holds no messages", "is it the bag of a run?")

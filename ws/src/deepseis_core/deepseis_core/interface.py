@@ -7,7 +7,7 @@ from typing import Final
 
 from deepseis_core.errors import InputError
 
-INTERFACE_VERSION: Final = "1"
+INTERFACE_VERSION: Final = "2"
 """Raised by one with every change of a message that an older reader would misread."""
 
 RECORD: Final = "deepseis"
@@ -36,7 +36,7 @@ def require_interface(path: object, records: Mapping[str, Mapping[str, str]]) ->
 
     Examples
     --------
-    >>> require_interface("a.mcap", {"deepseis": {"interface_version": "1"}})
+    >>> require_interface("a.mcap", {"deepseis": {"interface_version": "2"}})
     """
     version = records.get(RECORD, {}).get(KEY)
     if version is None:

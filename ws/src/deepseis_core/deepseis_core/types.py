@@ -195,6 +195,10 @@ def _empty() -> Float32Array:
     return np.zeros(0, np.float32)
 
 
+def _no_covariance() -> FloatArray:
+    return np.zeros(9)
+
+
 @dataclass(frozen=True)
 class Pvt:
     """Position, velocity and clock of one epoch, ECEF; residuals aligned on ``satellites``."""
@@ -236,7 +240,8 @@ class PreciseStatus(IntEnum):
 class PrecisePosition:
     """Antenna from carrier phases, one epoch; the fields of ``PrecisePosition.msg``.
 
-    ``displacement_enu`` [m] is from the surveyed place, east, north, up there.
+    ``displacement_enu`` [m] is from the surveyed place, east, north, up there;
+    ``common_covariance_enu`` is the part of its covariance that neighbouring epochs share.
     """
 
     sample_index: int
@@ -249,6 +254,7 @@ class PrecisePosition:
     covariance_enu: FloatArray
     clock_bias: float
     clock_bias_sd: float
+    common_covariance_enu: FloatArray = field(default_factory=_no_covariance)
     satellites: tuple[str, ...] = ()
     phase_residual: Float32Array = field(default_factory=_empty)
     rejected: tuple[str, ...] = ()

@@ -18,8 +18,10 @@ class PreciseEpoch:
     sample_index : int
     kind : str
         Method and status: what has a slow error of its own.
-    position_ecef, covariance_ecef : ndarray, shapes (3,), (3, 3)
-        [m, m^2]
+    position_ecef, noise_ecef : ndarray, shapes (3,), (3, 3)
+        Position and covariance of its noise [m, m^2].
+    common_ecef : ndarray, shape (3, 3)
+        Covariance of what neighbouring epochs share: biases that creep [m^2].
     clock_bias, clock_bias_sd : float
         Receiver clock times c, and sigma of its change [m].
     """
@@ -27,7 +29,8 @@ class PreciseEpoch:
     sample_index: int
     kind: str
     position_ecef: FloatArray
-    covariance_ecef: FloatArray
+    noise_ecef: FloatArray
+    common_ecef: FloatArray
     clock_bias: float
     clock_bias_sd: float
 
@@ -45,16 +48,18 @@ class PreciseEpoch:
         C_enu_e : ndarray, shape (3, 3)
             Axes there.
         """
-        covariance_enu = np.reshape(value.covariance_enu, (3, 3))
+        common_enu = np.reshape(value.common_covariance_enu, (3, 3))
+        noise_enu = np.reshape(value.covariance_enu, (3, 3)) - common_enu
         if value.status < PreciseStatus.PHASE:
             return None
-        if not is_measured(value.displacement_enu, covariance_enu):
+        if not is_measured(value.displacement_enu, noise_enu):
             return None
         return cls(
             value.sample_index,
             f"{value.method} {int(value.status)}",
             antenna_ecef + value.displacement_enu @ C_enu_e,
-            C_enu_e.T @ covariance_enu @ C_enu_e,
+            C_enu_e.T @ noise_enu @ C_enu_e,
+            C_enu_e.T @ common_enu @ C_enu_e,
             value.clock_bias,
             value.clock_bias_sd,
         )

@@ -7,9 +7,9 @@ same for many epochs: a filter that takes errors as independent is told a varian
 (`inflation`) that it gives a second of data no more weight than they have.
 
 Positions from carrier phases are off by millimetres that creep. The filter is told their noise
-alone and follows them; how far they have crept since they were last compared with a known place
-adds to what it says of its own position (`GnssOffsets.crept`). Taken as noise it would cost the
-velocity what it cannot harm: no accelerometer sees a millimetre in a minute.
+alone and follows them; how far they may have crept, as they say and since they were last compared
+with a known place, adds to what it says of its own position (`GnssOffsets.crept`). Taken as noise
+it would cost the velocity what it cannot harm: no accelerometer sees a millimetre in a minute.
 """
 
 from __future__ import annotations
@@ -206,6 +206,8 @@ class GnssOffsets:
         Precise positions refused since.
     off : ndarray, shape (3,)
         Sum of what these were off by, ECEF [m].
+    stated : ndarray, shape (3, 3)
+        Covariance of the creeping part, as the one last used says it, ECEF [m^2].
     """
 
     position: SlowError
@@ -215,6 +217,7 @@ class GnssOffsets:
     used_at: int = -1
     rejected: int = 0
     off: FloatArray = field(default_factory=lambda: np.zeros(3))
+    stated: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
 
     @classmethod
     def at_start(cls, config: FusionConfig) -> GnssOffsets:
@@ -228,10 +231,11 @@ class GnssOffsets:
 
     def followed_none(self) -> GnssOffsets:
         """Return the same with no precise position followed."""
-        return replace(self, kind="", used_at=-1, rejected=0, off=np.zeros(3))
+        return replace(self, kind="", used_at=-1, rejected=0, off=np.zeros(3),
+                       stated=np.zeros((3, 3)))  # fmt: skip
 
     def crept(self, seconds: float) -> FloatArray:
         """Return the covariance, ECEF, by which what the filter follows may have crept."""
         if not self.kind:
             return np.zeros((3, 3))
-        return self.precise[self.kind].covariance_at(seconds)
+        return self.stated + self.precise[self.kind].covariance_at(seconds)

@@ -100,7 +100,7 @@ class GnssUpdates:
         """Do the same with a precise position."""
         known = offsets.precise.get(epoch.kind) or precise_error(self.config)
         seconds = epoch.sample_index / self.sample_rate_hz
-        learnt = known.learn(seconds, epoch.position_ecef, place_ecef, epoch.covariance_ecef, dt)
+        learnt = known.learn(seconds, epoch.position_ecef, place_ecef, epoch.noise_ecef, dt)
         return offsets.with_precise(epoch.kind, learnt)
 
     # Moving
@@ -141,7 +141,7 @@ class GnssUpdates:
             offsets = self._refer(offsets, epoch, off)
             return Used(None, offsets)
         moved, _ = self._change_after(row, epoch.sample_index)
-        fix = known.take_off(epoch.position_ecef - moved, epoch.covariance_ecef, dt)
+        fix = known.take_off(epoch.position_ecef - moved, epoch.noise_ecef, dt)
         nav, lever = self.filter.nav, self.lever_arm_b
         measurement = measurements.gnss_position(nav, fix.value, fix.covariance, lever)
         measurement = replace(measurement, name="precise", recovers=False)
@@ -150,7 +150,12 @@ class GnssUpdates:
         update = GnssUpdate(epoch.sample_index, (innovation, None))
         if innovation.accepted:
             used = replace(
-                offsets, kind=epoch.kind, used_at=epoch.sample_index, rejected=0, off=np.zeros(3)
+                offsets,
+                kind=epoch.kind,
+                used_at=epoch.sample_index,
+                rejected=0,
+                off=np.zeros(3),
+                stated=epoch.common_ecef,
             )
             return Used(update, used)
         return Used(update, self._refused(offsets, epoch, row))
@@ -169,7 +174,7 @@ class GnssUpdates:
         known = offsets.precise.get(epoch.kind) or precise_error(self.config)
         seconds = epoch.sample_index / self.sample_rate_hz
         place = position_covariance_ecef(self.filter) + offsets.crept(seconds)
-        place = place + epoch.covariance_ecef
+        place = place + epoch.noise_ecef
         return offsets.with_precise(
             epoch.kind, known.refer(seconds, off, place), rejected=0, off=np.zeros(3)
         )

@@ -111,8 +111,8 @@ class PhaseSolution:
     """One epoch: displacement [m] east, north, up and clock [m]; arrays aligned on the epoch's.
 
     ``covariance`` is of both, ``common`` the part of it that stays the same for many epochs
-    (biases, not noise). ``used`` are the satellites of the solution, ``refused`` those whose
-    phases the others contradict.
+    (biases and the reference, not noise). ``used`` are the satellites of the solution,
+    ``refused`` those whose phases the others contradict.
     """
 
     displacement: FloatArray
@@ -221,7 +221,8 @@ class PhaseDisplacement:
         nothing = np.zeros((3, 3))
         if solution is None:
             return self.reference.decide(time, still, None, nothing, nothing)
-        parts = solution.covariance[:3, :3], solution.common[:3, :3]
+        biases = solution.common[:3, :3] - self.reference.covariance
+        parts = solution.covariance[:3, :3], biases
         return self.reference.decide(time, still, solution.displacement, *parts)
 
     def _drift(self, epoch: PhaseEpoch) -> float:
@@ -295,6 +296,7 @@ class PhaseDisplacement:
         variance = (found.G**2) @ noise[found.rows]
         common = covariance - (found.G * noise[found.rows]) @ found.G.T
         self.stress = self._stress(epoch, found)
+        common[:3, :3] += self.reference.covariance
         covariance[:3, :3] += self.reference.covariance + self.stress
         residual = np.full(len(refused), np.nan)
         residual[found.rows] = found.residual

@@ -294,6 +294,7 @@ def position_of(
         covariance_enu=np.ascontiguousarray(solution.covariance[:CLOCK, :CLOCK]),
         clock_bias=solution.clock,
         clock_bias_sd=solution.clock_noise,
+        common_covariance_enu=np.ascontiguousarray(solution.common[:CLOCK, :CLOCK]),
         satellites=tuple(name for name, use in zip(names, used, strict=True) if use),
         phase_residual=solution.residual[used].astype(np.float32),
         rejected=tuple(name for name, use in zip(names, used, strict=True) if not use),

@@ -14,6 +14,7 @@ from deepseis_core.errors import InputError
 from deepseis_core.types import FloatArray
 from deepseis_sim.accelerogram import ABSENT, Accelerogram, read_accelerogram
 from deepseis_sim.integration import ground_motion
+from deepseis_sim.merged_motion import delay_between, merge
 from deepseis_sim.motion import Kinematics, Motion, MotionConfig, Surroundings
 from deepseis_sim.motions_shapes import (
     LONGEST,
@@ -94,7 +95,8 @@ class Recorded:
 
     Formats are those of `deepseis_sim.accelerogram.read_accelerogram`. The whole record is
     freed of its mean, filtered and integrated; then the used part is cut out, freed of the
-    straight line between its ends, and faded in and out.
+    straight line between its ends, and faded in and out. With the displacement that GNSS saw
+    the motion is whole (`merged_motion`): it begins at rest and ends where the ground ended up.
     """
 
     file: str = setting(
@@ -151,22 +153,47 @@ class Recorded:
         0.0, "time it takes to come [s]; 0: until the end", low=0.0, high=LONGEST
     )
 
+    displacement: str = setting(
+        "",
+        "GNSS displacement of the place, a file, a pattern (*) or a folder: with it the ground "
+        "does below the crossover what GNSS saw, and stays where it ended up",
+    )
+    displacement_scale: float = setting(
+        0.0, "metres per count of it [m]; 0: the file's", low=-1e3, high=1e3
+    )
+    displacement_delay_s: float = setting(
+        0.0,
+        "the record begins later after the displacement than the files say, by so much [s]",
+        low=-LONGEST,
+        high=LONGEST,
+    )
+    crossover_hz: float = setting(
+        0.08,
+        "with a displacement: its motion below, the record's above, in place of low_hz [Hz]",
+        low=LOWEST_CORNER_HZ,
+        high=10.0,
+    )
+
     def build(self, around: Surroundings) -> Motion:
         """Read, correct and integrate the record."""
         check_settings("recorded", self)
         self._check()
         path = around.folder / self.file
+        found = self._read(path, self.count_scale)
+        moved = None
+        if self.displacement:
+            moved = self._read(around.folder / self.displacement, self.displacement_scale)
+        motion = self._motion(found, path, moved)
+        return motion if self.pga <= 0 else self._to_peak(motion, found.rate_hz)
+
+    def _read(self, path: Path, scale: float) -> Accelerogram:
         try:
-            found = read_accelerogram(
-                path, scale=self.count_scale or None, azimuth_deg=self.azimuth_deg
-            )
+            return read_accelerogram(path, scale=scale or None, azimuth_deg=self.azimuth_deg)
         except InputError as error:
             absent = error.reason == ABSENT
             raise InputError(
                 error.what, error.reason, self.hint if absent else error.hint
             ) from None
-        motion = self._motion(found, path)
-        return motion if self.pga <= 0 else self._to_peak(motion, found.rate_hz)
 
     def _check(self) -> None:
         wrong = ""
@@ -178,12 +205,16 @@ class Recorded:
             wrong = f"high_hz = {self.high_hz} is not above low_hz = {self.low_hz}"
         elif self.pga > 0 and self.scale != 1.0:
             wrong = "pga and scale are both set"
+        elif self.displacement and (self.pga > 0 or self.scale != 1.0 or any(self.offset_enu)):
+            wrong = "a displacement says how far it goes: no scale, pga or offset_enu"
         elif len(self.offset_enu) != 3:
             wrong = f"offset_enu has {len(self.offset_enu)} items, not east, north, up"
         if wrong:
             raise InputError("recorded", wrong)
 
-    def _motion(self, found: Accelerogram, path: Path) -> RecordedMotion:
+    def _motion(
+        self, found: Accelerogram, path: Path, moved: Accelerogram | None
+    ) -> RecordedMotion:
         whole = (found.acceleration.shape[0] - 1) / found.rate_hz
         length = self.length_s or whole - self.from_s
         if length <= 0 or self.from_s + length > whole + 0.5 / found.rate_hz:
@@ -199,13 +230,19 @@ class Recorded:
         spline = ground_motion(
             found.acceleration,
             found.rate_hz,
-            low_hz=self.low_hz,
+            low_hz=self.low_hz if moved is None else self.crossover_hz,
             high_hz=self.high_hz,
             order=self.order,
             still_s=self.still_s,
             trend_degree=self.trend_degree,
             taper_s=min(self.fade_s, whole / 2),
         )
+        offset, offset_span = np.array(self.offset_enu, np.float64), (self.offset_at_s, arrival)
+        if moved is not None:
+            used = self.from_s, self.from_s + length
+            delay = delay_between(found, moved) + self.displacement_delay_s
+            whole_motion = merge(spline, moved, delay, self.crossover_hz, self.order, used)
+            spline, offset, offset_span = whole_motion.motion, whole_motion.offset, (0.0, length)
         return RecordedMotion(
             record=_used(spline, self.from_s, length),
             start=self.start,
@@ -213,8 +250,8 @@ class Recorded:
             fade=self.fade_s,
             from_s=self.from_s,
             factor=self.scale,
-            offset=np.array(self.offset_enu, np.float64),
-            offset_span=(self.start + self.offset_at_s, arrival),
+            offset=offset,
+            offset_span=(self.start + offset_span[0], offset_span[1]),
         )
 
     def _to_peak(self, motion: RecordedMotion, rate_hz: float) -> RecordedMotion:
