@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from deepseis_bringup.quiet_obspy import obspy_modules
 from deepseis_core.errors import InputError
-from deepseis_core.geodesy import geodetic_from_ecef
+from deepseis_core.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.types import Displacement, FloatArray, SeismicEvent
 from deepseis_ins import pgd_magnitude as pgd
 from deepseis_ins.event_engine import EventConfig, EventEngine, Report
 from deepseis_ins.onset import OnsetConfig, OnsetDetector
+from deepseis_sim.accelerogram import read_accelerogram
 
 RATE = 200.0
 TIME = GpsTime(2000, 0)
@@ -139,3 +142,26 @@ def test_bad_settings_are_refused() -> None:
         EventEngine(EventConfig(report_s=3.0), OnsetConfig(), "", STATION)
     with pytest.raises(InputError, match="long_s"):
         OnsetDetector(OnsetConfig(short_s=10.0, long_s=5.0), RATE)
+
+
+def test_tohoku_by_a_geonet_station_is_a_magnitude_9(shared_data: Path) -> None:
+    """GEONET 0915, 2011-03-11: 1 Hz of GNSS, hypocentre as published with it; USGS: Mw 9.1."""
+    place = "displacement/tohoku2011_geonet_1hz/CI.0915.20.LY?.2011.070"
+    d = read_accelerogram(shared_data / place, scale=1e-6).acceleration
+    v = np.gradient(d, axis=0)
+    a = np.gradient(v, axis=0)
+    station = ecef_from_geodetic(np.array([*np.radians([38.686, 141.004]), 105.0]))
+    # Samples of a second: averages of some of them, and a threshold above 1 Hz GNSS noise.
+    onset = OnsetConfig(short_s=2.0, long_s=40.0, onset_ratio=5.0, end_ratio=1.5)
+    engine = EventEngine(EventConfig(hypocentre=[38.297, 142.373, 29.0]), onset, "0915", station)
+    found = []
+    for row in range(len(d)):
+        sd = np.full((1, 3), 5e-3, np.float32)
+        time = np.array([round(row * 1e9)], np.int64)
+        parts = (item[row : row + 1] for item in (d, v, a))
+        found += engine.push(Displacement(2, False, row, 1.0, time, TIME.week, *parts, sd, sd, sd))
+    assert found
+    event = max((item.event for item in found), key=lambda item: item.peak_displacement)
+    assert 100e3 < event.hypocentral_distance < 160e3
+    assert event.peak_displacement == pytest.approx(4.25, abs=0.15)
+    assert event.magnitude == pytest.approx(9.1, abs=pgd.SCATTER)

@@ -1,7 +1,7 @@
 """Tables of displacement under the thesis' motions: against a base, alone, fused.
 
-Thesis 5.7 to 5.10, 5.12 and 5.14 are positions by RTKLIB from the receiver's phases; beside the
-aided loops' stand ours of a conventional one: for the commercial receiver that the thesis has there.
+Thesis 5.7 to 5.10, 5.12 and 5.14 are positions by RTKLIB from the receiver's phases. For the
+commercial receiver that stands beside them there, ours has a conventional loop.
 The benchmark (Geophysical Research Letters 2020) splits the error of a station without a base
 into a lag, found by shifting the truth, and what is left at that lag.
 """
