@@ -10,6 +10,7 @@ import graph_runs
 import pytest
 from domain_coordinator import domain_id
 from graph_runs import PROJECT, command
+from sockets import family, internet_addresses
 
 from deepseis_bringup.bag_info import bag_info
 
@@ -67,6 +68,7 @@ def test_ctrl_c_ends_a_station_with_everything_worked_through(domain, configure,
     process = start(configure(source={"pace": 0.4}), folder)  # lasts 70 s
     try:
         wait_for_samples(process, folder / "bag", 2e6)
+        reached = internet_addresses(family(process.pid))
         aside = command("record", "--station", "DSEI", "--duration", "4", "-o", tmp_path / "aside")
         namesake = command("station", "--config", configure(), "-o", tmp_path / "second")
         process.send_signal(signal.SIGINT)
@@ -75,6 +77,7 @@ def test_ctrl_c_ends_a_station_with_everything_worked_through(domain, configure,
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
     assert process.returncode == 0, err
+    assert reached == {"127.0.0.1"}
     assert out.splitlines()[-1] == str(folder)
     assert err.splitlines()[0] == f"recording to {folder / 'bag'}"
     summary = json.loads((folder / "summary.json").read_text())

@@ -4,8 +4,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from deepseis_bringup.bag_info import BagInfo, Recovery, TopicInfo
+from deepseis_bringup.bag_info import BagInfo, TopicInfo
 from deepseis_bringup.bag_text import recovery_lines, show_info, size_text
+from deepseis_bringup.recovery import Loss, Recovery
 from deepseis_frontend.if_stream import Remark
 
 START = 1_640_995_200_000_000_000  # 2022-01-01
@@ -72,10 +73,16 @@ def test_a_foreign_bag_and_an_unset_clock_are_said():
 
 def test_recovery_says_what_was_lost():
     whole = Recovery(Path("a"), True, 5, 0, None, 0)
-    cut = Recovery(Path("b"), False, 7, 1, 100, 2500)
-    assert recovery_lines([whole, cut]) == [
+    losses = (Loss("/pvt", 3, START, START + 10**9), Loss("/fix", -1, START, 0))
+    cut = Recovery(Path("b"), False, 7, 1, 100, 2500, Path("b.damaged"), losses)
+    empty = Recovery(Path("c"), False, 0)
+    assert recovery_lines([whole, cut, empty]) == [
         "a: 5 messages, was whole, left as it is",
         "b: 7 messages kept, lost: 2.5 kB at the end and 1 damaged chunks",
+        "  /pvt: 3 lost between 2022-01-01 00:00:00.000 UTC and 2022-01-01 00:00:01.000 UTC",
+        "  /fix: nothing after 2022-01-01 00:00:00.000 UTC",
+        "  the damaged file is b.damaged",
+        "c: 0 messages can be read, left as it is (0 B)",
     ]
 
 

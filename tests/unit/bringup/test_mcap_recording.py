@@ -15,9 +15,10 @@ from mcap.reader import NonSeekingReader, make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from deepseis_bringup.bag_info import bag_info, recover_bag
+from deepseis_bringup.bag_info import bag_info
 from deepseis_bringup.mcap_file import McapFile
 from deepseis_bringup.mcap_recording import BagWriter, read_messages
+from deepseis_bringup.recovery import recover_bag
 from deepseis_bringup.ros_definitions import Definitions, TopicQos
 from deepseis_core.errors import InputError
 from deepseis_core.interface import INTERFACE_VERSION

@@ -122,7 +122,7 @@ def test_an_empty_file_is_a_station_without_a_source(tmp_path):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("- a\n- b", "the file is not a mapping"),
+        ("- a\n- b", "is not a mapping"),
         ("a: [", "is not YAML"),
         ("stations: a", "unknown key stations in the file .known: station, source"),
         ("source: {fiel: a}", "unknown key fiel in source"),

@@ -140,7 +140,7 @@ def test_arguments_win_over_the_descriptor(recording):
         ("format: iq8\nsample_rate_hz: 4e6\nstart_utc: soon", "no date"),
         ("format: iq8\nsample_rate_hz: 4e6\nheader_bytes: -2", "header_bytes"),
         ("- a\n- b", "is not a descriptor"),
-        ("a: [", "not a readable descriptor"),
+        ("a: [", "is not a descriptor: is not YAML"),
     ],
 )
 def test_a_wrong_descriptor_is_refused_with_its_reason(recording, text, reason):

@@ -9,7 +9,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from deepseis_bringup.bag_info import BagInfo, Recovery, TopicInfo
+from deepseis_bringup.bag_info import BagInfo, TopicInfo
+from deepseis_bringup.recovery import Loss, Recovery
 
 FIRST_GPS_SECOND = 315_964_800
 """Of 1980-01-06 [s since 1970]."""
@@ -53,6 +54,9 @@ def info_lines(info: BagInfo) -> list[str]:
     if info.start_ns is not None:
         lines.append(f"starts {utc_text(info.start_ns)} by the coarse clock")
     version = info.interface_version
+    if info.duration > 1.0:
+        rate = info.size_bytes / info.duration
+        lines.append(f"{size_text(rate)} a second, {size_text(rate * 86_400)} a day")
     lines.append(f"interface version {version}" if version else "not recorded by DeepSeis")
     if info.attachments:
         lines.append("attachments: " + ", ".join(info.attachments))
@@ -110,14 +114,34 @@ def show_info(info: BagInfo, console: Console | None = None) -> None:
 
 
 def recovery_lines(results: Sequence[Recovery]) -> list[str]:
-    """Return one line for each file of a bag that was recovered."""
+    """Return a line for each file of a bag that was recovered, and one for each loss in it."""
     lines = []
     for result in results:
         text = f"{result.path}: {result.messages} messages"
         if result.was_whole:
             lines.append(f"{text}, was whole, left as it is")
             continue
+        if not result.messages:
+            lines.append(f"{text} can be read, left as it is ({size_text(result.lost_bytes)})")
+            continue
         lost = [f"{size_text(result.lost_bytes)} at the end"] * (result.lost_bytes > 0)
         lost += [f"{result.damaged_chunks} damaged chunks"] * (result.damaged_chunks > 0)
         lines.append(f"{text} kept, lost: {' and '.join(lost) or 'nothing'}")
+        lines += [f"  {loss_text(loss)}" for loss in result.losses]
+        if result.kept_as is not None:
+            lines.append(f"  the damaged file is {result.kept_as}")
     return lines
+
+
+def loss_text(loss: Loss) -> str:
+    """Say what is missing of a topic, and between which stamps.
+
+    Examples
+    --------
+    >>> loss_text(Loss("/gnss/pvt", 3, 1_640_995_200_100_000_000, 1_640_995_200_500_000_000))
+    '/gnss/pvt: 3 lost between 2022-01-01 00:00:00.100 UTC and 2022-01-01 00:00:00.500 UTC'
+    """
+    after = utc_text(loss.after_ns) if loss.after_ns else "the start"
+    if loss.count < 0:
+        return f"{loss.topic}: nothing after {after}"
+    return f"{loss.topic}: {loss.count} lost between {after} and {utc_text(loss.before_ns)}"

@@ -10,8 +10,7 @@ import numpy as np
 
 from deepseis_bringup.graph import GraphConfig
 from deepseis_core.errors import InputError
-from deepseis_core.mcap_scan import McapScan
-from deepseis_frontend.if_bag import bag_files
+from deepseis_frontend.if_bag import first_messages
 from deepseis_frontend.imu_open import is_bag
 from deepseis_frontend.nodes.base_bag import TOPIC
 
@@ -24,8 +23,8 @@ def has_base(path: Path) -> bool:
     """Tell whether a bag begins with observations of a base among its messages."""
     if not is_bag(path):
         return False
-    first = McapScan(bag_files(path)[0], tolerant=True).messages()
-    return any(("/" + m.channel.topic).endswith("/" + TOPIC) for m in islice(first, LOOKED_AT))
+    first = first_messages(path, LOOKED_AT)
+    return any(("/" + m.channel.topic).endswith("/" + TOPIC) for m in first)
 
 
 def base_position(bag: Path) -> list[float]:
@@ -50,12 +49,17 @@ def rinex_position(path: Path) -> list[float]:
     InputError
         There is none.
     """
-    with path.open(encoding="ascii", errors="replace") as lines:
-        for line in islice(lines, HEADER_LINES):
-            if line[60:].strip() == "APPROX POSITION XYZ":
-                position = [float(part) for part in line[:60].split()]
-                if len(position) == 3 and np.linalg.norm(position) > 1e6:
-                    return position
+    try:
+        with path.open(encoding="ascii", errors="replace") as lines:
+            for line in islice(lines, HEADER_LINES):
+                if line[60:].strip() == "APPROX POSITION XYZ":
+                    position = [float(part) for part in line[:60].split()]
+                    if len(position) == 3 and 1e6 < np.linalg.norm(position) < 1e8:
+                        return position
+    except OSError as error:
+        raise InputError(path, error.strerror or str(error)) from None
+    except ValueError:
+        raise InputError(path, "has an APPROX POSITION XYZ that is no position") from None
     raise InputError(path, "does not say where its antenna is", "APPROX POSITION XYZ")
 
 

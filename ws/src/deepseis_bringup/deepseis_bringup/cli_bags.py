@@ -34,20 +34,32 @@ def info(bag: Bag) -> None:
         bag_text.show_info(bag_info.bag_info(bag_of(bag)))
 
 
-def recover(bag: Bag) -> None:
-    r"""Make a bag whole again that was cut short, by kill -9 or a loss of power.
+def recover(
+    bag: Bag,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="New folder for the whole bag; BAG is only read."),
+    ] = None,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Do not keep damaged files as NAME.mcap.damaged.")
+    ] = False,
+) -> None:
+    r"""Make a bag whole again that was cut short or damaged, by kill -9 or a loss of power.
 
-    Keeps every message that can be read, writes the index and metadata.yaml anew, and replaces
-    a file only by its finished successor. A bag that is whole is left as it is.
+    Keeps every message that can be read, writes the index and metadata.yaml anew, and tells what
+    was lost, topic by topic. A damaged file stays beside its successor; one that is whole is left
+    as it is, one that is being recorded is refused.
 
     \b
-    Example:
+    Examples:
       ./deepseis recover runs/20260101T000000Z
+      ./deepseis recover runs/20260101T000000Z -o /data/whole
     """
     with one_line_errors():
-        from deepseis_bringup import bag_info, bag_text
+        from deepseis_bringup import bag_text, recovery
 
-        for line in bag_text.recovery_lines(bag_info.recover_bag(bag_of(bag))):
+        results = recovery.recover_bag(bag_of(bag), target=output, replace=replace)
+        for line in bag_text.recovery_lines(results):
             typer.echo(line)
 
 

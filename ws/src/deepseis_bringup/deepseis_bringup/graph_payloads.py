@@ -10,6 +10,7 @@ from deepseis_bringup.graph import GraphConfig, build_graph
 from deepseis_bringup.supervisor import Supervisor, own_domain, running
 from deepseis_bringup.watch import GraphWatch
 from deepseis_core.mcap_scan import McapScan
+from deepseis_frontend.if_bag import mcap_files
 
 
 def run_graph(config: GraphConfig, folder: Path) -> dict[str, list[bytes]]:
@@ -51,7 +52,7 @@ def run_graph(config: GraphConfig, folder: Path) -> dict[str, list[bytes]]:
 
             supervisor.wait(poll=poll)
     found: dict[str, list[bytes]] = defaultdict(list)
-    for path in sorted((folder / "bag").glob("*.mcap")):
+    for path in mcap_files(folder / "bag"):
         for message in McapScan(path).messages():
             found[message.channel.topic.lstrip("/")].append(bytes(message.data))
     return dict(found)

@@ -130,6 +130,6 @@ def read_installation(path: Path) -> LdvInstallation:
         return LdvInstallation.from_angles(np.radians(angles), float(scale), arm_b, sd)
     except OSError as error:
         raise InputError(path, f"cannot be read: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError):
         hint = "installation.json of another survey"
         raise InputError(path, "is no velocimeter's installation", hint) from None

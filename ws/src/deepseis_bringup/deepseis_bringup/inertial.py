@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,8 @@ from deepseis_core.errors import InputError
 from deepseis_core.geodesy import ecef_from_enu
 from deepseis_core.imu_grades import GRADES, grade_named
 from deepseis_core.imu_message import decode_imu
-from deepseis_core.mcap_scan import McapScan
 from deepseis_core.sample_clock import SampleClock
-from deepseis_frontend.if_bag import bag_files
+from deepseis_frontend.if_bag import first_messages
 from deepseis_frontend.if_stream import IfSource
 from deepseis_frontend.imu_bag import TOPIC
 from deepseis_frontend.imu_file import ImuFile, Installation
@@ -31,8 +29,7 @@ def has_imu(path: Path) -> bool:
     """
     if not is_bag(path):
         return False
-    first = McapScan(bag_files(path)[0], tolerant=True).messages()
-    for message in islice(first, LOOKED_AT):
+    for message in first_messages(path, LOOKED_AT):
         if ("/" + message.channel.topic).endswith("/" + TOPIC):
             try:
                 sample, _ = decode_imu(message.data, SampleClock(0, 1.0))

@@ -3,16 +3,23 @@
 Messages are gathered into chunks; a thread compresses, checks and writes them when they are
 full or ``flush_interval`` old, so that the caller's part is one copy of the bytes. Compression
 (zstd) and file access release the interpreter.
+
+What is written goes to the file whole or not at all: a write that fails, on a full disk, is taken
+back to the end of the chunk before. A *patient* file then keeps what it has, tries again every
+second, and drops messages, counting them, once ``PENDING_BYTES`` wait.
 """
 
 from __future__ import annotations
 
+import fcntl
+import os
 import struct
 import threading
 import time
 import zlib
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -30,6 +37,7 @@ ZSTD_LEVEL: Final = 1  # 260-700 MB/s on IF samples; higher levels gain 2 %
 CHUNK_BYTES: Final = 4 << 20
 PENDING_BYTES: Final = 64 << 20  # a disk slower than the stream holds the caller back from here
 FLUSH_INTERVAL: Final = 0.2  # [s]
+RETRY_SECONDS: Final = 1.0  # between attempts to write to a disk that was full [s]
 
 
 @dataclass
@@ -40,6 +48,7 @@ class _Chunk:
     start_ns: int = 2**63
     end_ns: int = 0
     data: bytearray = field(default_factory=bytearray)
+    packed: bytes | bytearray | None = None
     index: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
 
 
@@ -49,6 +58,21 @@ class _Record:
 
     data: bytes
     entry: records.MetadataIndex | records.AttachmentIndex | None = None
+
+
+@dataclass
+class Dropped:
+    """Messages that a patient file could not take: how many, from when to when, and why."""
+
+    reason: str = ""
+    count: int = 0
+    start_ns: int = 2**63 - 1
+    end_ns: int = 0
+
+    def add(self, log_time_ns: int) -> None:
+        """Count a message."""
+        self.count += 1
+        self.start_ns, self.end_ns = min(self.start_ns, log_time_ns), max(self.end_ns, log_time_ns)
 
 
 class McapFile:
@@ -64,6 +88,19 @@ class McapFile:
         Of the chunks.
     flush_interval : float
         Longest stay of a message in memory [s].
+    patient : bool
+        Wait for room on a full disk instead of failing.
+    guard : callable, optional
+        Called before each write but those of the end; an ``OSError`` of it counts as the disk's.
+    sync_interval : float
+        How often the disk is told to keep what it has, against a loss of power; 0: never [s].
+
+    Attributes
+    ----------
+    trouble : OSError or None
+        Why nothing is written at present (patient files).
+    dropped : list of Dropped
+        What was lost that way, one for each time.
 
     Raises
     ------
@@ -79,6 +116,9 @@ class McapFile:
         library: str = "deepseis",
         compression: str = "zstd",
         flush_interval: float = FLUSH_INTERVAL,
+        patient: bool = False,
+        guard: Callable[[], None] | None = None,
+        sync_interval: float = 0.0,
     ) -> None:
         if compression not in COMPRESSIONS:
             raise InputError("compression", f"{compression!r} is not one of {COMPRESSIONS}")
@@ -98,13 +138,23 @@ class McapFile:
         self._pending = 0
         self._closing = False
         self._error: BaseException | None = None
+        self.trouble: OSError | None = None
+        self.dropped: list[Dropped] = []
+        self._patient = patient
+        self._sync_interval, self._synced = sync_interval, time.monotonic()
+        self._guard: Callable[[], None] | None = None
         self._wake = threading.Condition()
+        self._out: list[bytes | bytearray] = []
+        self._offset = self._written = 0
+        self._put(MAGIC + _bytes(records.Header(profile, library)))
         try:
-            self._file = path.open("xb")
+            self._file = path.open("xb", buffering=0)
+            self._commit()
         except OSError as error:
             raise InputError(path, f"cannot be made: {error.strerror}") from None
-        self._offset = 0
-        self._put(MAGIC + _bytes(records.Header(profile, library)))
+        with suppress(OSError):  # tells `recover` that somebody writes; not everywhere possible
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        self._guard = guard
         self._thread = threading.Thread(target=self._run, name=f"writes {path.name}", daemon=True)
         self._thread.start()
 
@@ -144,9 +194,15 @@ class McapFile:
         data: bytes | bytearray | memoryview,
         sequence: int | None = None,
     ) -> None:
-        """Add a message; waits only where the disk is far behind."""
+        """Add a message; waits only where the disk is far behind.
+
+        A patient file in trouble drops it where too much waits already.
+        """
         with self._wake:
             self._require_healthy()
+            if self.trouble is not None and self._pending > PENDING_BYTES:
+                self._drop(log_time_ns)
+                return
             count = self.counts[channel] + 1
             chunk = self._open
             if chunk is None:
@@ -166,7 +222,7 @@ class McapFile:
             self.end_ns = max(self.end_ns, log_time_ns)
             if len(chunk.data) >= CHUNK_BYTES:
                 self._close_chunk()
-            while self._pending > PENDING_BYTES and self._error is None:
+            while self._pending > PENDING_BYTES and not (self._error or self.trouble):
                 self._wake.wait()
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
@@ -189,6 +245,7 @@ class McapFile:
         """Write what is pending and the index."""
         with self._wake:
             self._closing = True
+            self._guard = None  # what waits and the index are small
             self._wake.notify_all()
         self._thread.join()
         try:
@@ -196,6 +253,25 @@ class McapFile:
         except OSError as error:
             self._error = self._error or error
         self._require_healthy()
+
+    @property
+    def size(self) -> int:
+        """Bytes in the file."""
+        return self._written
+
+    @property
+    def unwritten(self) -> int:
+        """Messages that wait to be written."""
+        with self._wake:
+            waiting = [job for job in (*self._queue, self._open) if isinstance(job, _Chunk)]
+            return sum(len(part) for chunk in waiting for part in chunk.index.values())
+
+    def _drop(self, log_time_ns: int) -> None:
+        """Count a message that is lost (with the lock held)."""
+        assert self.trouble is not None
+        if not self.dropped or self.dropped[-1].reason:
+            self.dropped.append(Dropped())
+        self.dropped[-1].add(log_time_ns)
 
     def _submit(self, record: _Record) -> None:
         with self._wake:
@@ -238,30 +314,65 @@ class McapFile:
                 self._wake.wait(None if left is None else left - time.monotonic())
             if self._closing:
                 self._close_chunk()
-            jobs = list(self._queue)
-            self._queue.clear()
-            done = self._closing and not jobs
-        for job in jobs:
-            self._write_job(job)
-        self._file.flush()
+            done = self._closing and not self._queue
+        while self._queue:
+            try:
+                self._write_job(self._queue[0])
+            except OSError as error:
+                self._wait_for_room(error)
+                break
+            self._done()
         return not done
+
+    def _done(self) -> None:
+        """Take a job that is written from the queue."""
+        with self._wake:
+            job = self._queue.popleft()
+            if isinstance(job, _Chunk):
+                self._pending -= len(job.data)
+            if self.trouble is not None:
+                self._recovered()
+            self._wake.notify_all()
+
+    def _wait_for_room(self, error: OSError) -> None:
+        """Let a second pass after a failure; fail where that does not help."""
+        self._out.clear()
+        self._offset = self._written
+        with self._wake:
+            if not self._patient or self._closing:
+                raise error
+            self.trouble = error
+            self._wake.notify_all()
+            self._wake.wait_for(lambda: self._closing, RETRY_SECONDS)
+
+    def _recovered(self) -> None:
+        """Note that the disk takes data again, and what was lost (with the lock held)."""
+        reason = getattr(self.trouble, "strerror", None) or str(self.trouble)
+        self.trouble = None
+        if self.dropped and not self.dropped[-1].reason:
+            lost = self.dropped[-1]
+            lost.reason = reason
+            values = {name: str(value) for name, value in vars(lost).items()}
+            name = f"not recorded {len(self.dropped)}"
+            data = _bytes(records.Metadata(name, values))
+            self._queue.append(_Record(data, records.MetadataIndex(0, len(data), name)))
 
     def _write_job(self, job: _Chunk | _Record) -> None:
         if isinstance(job, _Chunk):
             self._write_chunk(job)
-            with self._wake:
-                self._pending -= len(job.data)
-                self._wake.notify_all()
             return
         if job.entry is not None:
             job.entry.offset = self._offset
-            self._entries.append(job.entry)
         self._put(job.data)
+        self._commit()
+        if job.entry is not None:
+            self._entries.append(job.entry)
 
     def _write_chunk(self, chunk: _Chunk) -> None:
-        packed: bytes | bytearray = chunk.data
-        if self._compressor is not None:
-            packed = self._compressor.compress(chunk.data)
+        if chunk.packed is None:
+            data = chunk.data
+            chunk.packed = data if self._compressor is None else self._compressor.compress(data)
+        packed = chunk.packed
         name = b"" if self._compressor is None else b"zstd"
         head = struct.pack(
             f"<QQQII{len(name)}sQ",
@@ -282,6 +393,7 @@ class McapFile:
         for number, entries in chunk.index.items():
             offsets[number] = self._offset
             self._put(_bytes(records.MessageIndex(number, entries)))
+        self._commit()
         self._chunk_index.append(
             records.ChunkIndex(
                 chunk_length=length,
@@ -326,7 +438,7 @@ class McapFile:
         footer_head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
         crc = zlib.crc32(footer_head, zlib.crc32(summary + offsets))
         self._put(summary + offsets + footer_head + struct.pack("<I", crc) + MAGIC)
-        self._file.flush()
+        self._commit()
 
     def _statistics(self, metadata: int, attachments: int) -> records.Statistics:
         messages = sum(self.counts.values())
@@ -343,8 +455,29 @@ class McapFile:
         )
 
     def _put(self, data: bytes | bytearray) -> None:
-        self._file.write(data)
+        """Add bytes to what `_commit` writes."""
+        self._out.append(data)
         self._offset += len(data)
+
+    def _commit(self) -> None:
+        """Write what was put, whole or not at all."""
+        data = memoryview(b"".join(self._out))
+        try:
+            if self._guard is not None:
+                self._guard()
+            while len(data):
+                data = data[self._file.write(data) :]
+        except OSError:
+            with suppress(OSError):
+                self._file.truncate(self._written)
+                self._file.seek(self._written)
+            raise
+        self._out.clear()
+        self._written = self._offset
+        if 0 < self._sync_interval < time.monotonic() - self._synced:
+            self._synced = time.monotonic()
+            with suppress(OSError):
+                os.fdatasync(self._file.fileno())
 
 
 def _bytes(record: records.McapRecord) -> bytes:

@@ -1,6 +1,6 @@
 """Bags: written with a limit on what a crash can take, read, described and recovered.
 
-A bag is a folder ``<run>/bag/`` with one MCAP file and ``metadata.yaml``; `ros2 bag`, rosbags
+A bag is a folder ``<run>/bag/`` with MCAP files and ``metadata.yaml``; `ros2 bag`, rosbags
 and every MCAP reader open it. It carries the interface version, and what the run was made of,
 as MCAP metadata records.
 """
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Protocol
@@ -48,6 +48,8 @@ class BagWriter:
         in bytes); samples that fill their bits do not compress.
     flush_interval : float
         Longest time that a message waits before it is in the file [s].
+    patient, guard, sync_interval
+        As of :class:`~deepseis_bringup.mcap_file.McapFile`.
 
     Raises
     ------
@@ -63,6 +65,9 @@ class BagWriter:
         definitions: Definitions | None = None,
         compression: str = "zstd",
         flush_interval: float = FLUSH_INTERVAL,
+        patient: bool = False,
+        guard: Callable[[], None] | None = None,
+        sync_interval: float = 0.0,
     ) -> None:
         self.folder = Path(folder)
         try:
@@ -72,26 +77,46 @@ class BagWriter:
             raise InputError(self.folder, f"cannot be made: {error.strerror}") from None
         if occupied:
             raise InputError(self.folder, "holds a bag already", "name another folder")
-        self.path = self.folder / f"{self.folder.resolve().name}_0.mcap"
         self.definitions = definitions or Definitions()
-        self.file = McapFile(self.path, compression=compression, flush_interval=flush_interval)
+        self.records = {name: dict(values) for name, values in (records or {}).items()}
+        self.records[RECORD] = {**self.records.get(RECORD, {}), KEY: INTERFACE_VERSION}
+        own = self.records[RECORD]
+        self.custom = {f"{RECORD}.{key}": str(value) for key, value in own.items()}
+        self.topics: dict[str, tuple[str, TopicQos]] = {}
+        self._options: dict[str, Any] = {
+            "compression": compression,
+            "flush_interval": flush_interval,
+            "patient": patient,
+            "guard": guard,
+            "sync_interval": sync_interval,
+        }
         self._numbers: dict[str, int] = {}
         self._closed = False
-        given = {name: dict(values) for name, values in (records or {}).items()}
-        given[RECORD] = {**given.get(RECORD, {}), KEY: INTERFACE_VERSION}
-        self._custom = {f"{RECORD}.{key}": str(value) for key, value in given[RECORD].items()}
-        for name in sorted(given, key=lambda name: (name != RECORD, name)):
-            self.add_metadata(name, given[name])
+        self.file = self.open_file("0")
+
+    def open_file(self, number: str, path: Path | None = None) -> McapFile:
+        """Make a file of the bag, with its records and all topics declared so far."""
+        path = path or self.folder / f"{self.folder.resolve().name}_{number}.mcap"
+        file = McapFile(path, **self._options)
+        for name in sorted(self.records, key=lambda name: (name != RECORD, name)):
+            values = self.records[name].items()
+            file.add_metadata(name, {str(key): str(value) for key, value in values})
+        for topic in self.topics:
+            self._declare(file, topic)
+        return file
+
+    def _declare(self, file: McapFile, topic: str) -> int:
+        type_name, qos = self.topics[topic]
+        metadata = {QOS_KEY: qos.to_yaml()}
+        if type_hash := self.definitions.type_hash(type_name):
+            metadata[HASH_KEY] = type_hash
+        return file.add_channel(topic, type_name, self.definitions.schema(type_name), metadata)
 
     def add_topic(self, topic: str, type_name: str, qos: TopicQos | None = None) -> None:
         """Declare a topic with the quality of service that its publisher offers."""
-        if topic in self._numbers:
-            return
-        metadata = {QOS_KEY: (qos or TopicQos()).to_yaml()}
-        if type_hash := self.definitions.type_hash(type_name):
-            metadata[HASH_KEY] = type_hash
-        schema = self.definitions.schema(type_name)
-        self._numbers[topic] = self.file.add_channel(topic, type_name, schema, metadata)
+        if topic not in self.topics:
+            self.topics[topic] = type_name, qos or TopicQos()
+            self._numbers[topic] = self._declare(self.file, topic)
 
     def write(
         self,
@@ -102,8 +127,7 @@ class BagWriter:
         publish_time_ns: int,
     ) -> None:
         """Write a serialised message; a topic not declared before is declared."""
-        if topic not in self._numbers:
-            self.add_topic(topic, type_name)
+        self.add_topic(topic, type_name)
         self.file.write(self._numbers[topic], log_time_ns, publish_time_ns, cdr_bytes)
 
     def add_metadata(self, name: str, values: Mapping[str, Any]) -> None:
@@ -119,7 +143,7 @@ class BagWriter:
         if not self._closed:
             self._closed = True
             self.file.close()
-            write_metadata_yaml(self.folder, [self.file], self._custom)
+            write_metadata_yaml(self.folder, [self.file], self.custom)
 
     def __enter__(self) -> BagWriter:
         """Return the writer."""

@@ -107,6 +107,7 @@ def recorder_spec(topics: dict[str, str], directory: Path) -> NodeSpec:
     entries = [" ".join((name, *TYPES[topics[name]])) for name in sorted(topics)]
     name = f"record_{os.getpid()}"
     parameters: dict[str, Any] = {"directory": str(directory.resolve()), "topics": entries}
+    parameters["mode"] = "realtime"  # waits for room on a full disk
     return NodeSpec(
         name="recorder",
         package="deepseis_bringup",

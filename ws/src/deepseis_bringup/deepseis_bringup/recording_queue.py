@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections import deque
 from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
+from typing import Final
+
+SATELLITE: Final = re.compile(r"[A-Z]\d\d")
 
 
 def stamp_of_cdr(cdr: bytes) -> int:
@@ -28,6 +32,26 @@ def if_block_end(cdr: bytes) -> int:
     at = 4 + (at - 4 + 7) // 8 * 8
     index, count = struct.unpack_from("<qI", cdr, at)
     return int(index + count - 1)
+
+
+def about_whom(cdr: bytes) -> str:
+    """Name whom a latched message is about: an ephemeris' satellite, else nobody in particular.
+
+    Only texts that begin a message's own fields count, and only short ones.
+    """
+    at = _behind_text(12, cdr)
+    if len(cdr) < at + 8 or struct.unpack_from("<I", cdr, at)[0] != 4:
+        return ""
+    text = _text(cdr, at)
+    return text if SATELLITE.fullmatch(text) else ""
+
+
+def event_span(cdr: bytes) -> tuple[int, int]:
+    """Return onset and last report of a serialised ``SeismicEvent`` [ns UTC]."""
+    at = _behind_text(_behind_text(12, cdr), cdr)
+    sec, nanosec = struct.unpack_from("<iI", cdr, at)
+    onset_ns, last_ns = int(sec) * 1_000_000_000 + int(nanosec), stamp_of_cdr(cdr)
+    return min(onset_ns, last_ns), max(onset_ns, last_ns)
 
 
 def speaker_of(cdr: bytes, members: Container[str]) -> str:

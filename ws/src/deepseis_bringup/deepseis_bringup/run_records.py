@@ -18,7 +18,7 @@ from typing import Any
 from deepseis_bringup.graph import GraphConfig, NodeSpec, build_graph
 from deepseis_core.errors import InputError
 from deepseis_core.mcap_scan import McapScan
-from deepseis_frontend.if_bag import bag_files
+from deepseis_frontend.if_bag import bag_files, mcap_files
 
 PLACES = frozenset({"directory", "output_dir", "records"})
 """Parameters that tell where a run went, not what came out."""
@@ -43,7 +43,7 @@ def versions() -> dict[str, str]:
 def input_hash(path: Path) -> str:
     """SHA-256 over a file, or over the files of a bag's folder in order of name."""
     digest = hashlib.sha256()
-    files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+    files = mcap_files(path) if path.is_dir() else [path]
     for file in files:
         with file.open("rb") as stream:
             while piece := stream.read(1 << 22):
@@ -125,6 +125,9 @@ def recorded_run(bag: Path) -> RecordedRun:
     found = scan.metadata.get("run", {})
     try:
         parameters = json.loads(found.get("parameters", "{}"))
-    except ValueError:
+    except (ValueError, RecursionError):
         raise InputError(files[0], "has an unreadable record of its run") from None
+    by_kind = isinstance(parameters, dict) and parameters.values()
+    if by_kind is False or not all(isinstance(values, dict) for values in by_kind):
+        raise InputError(files[0], "has a record of its run that names no parameters by kind")
     return RecordedRun(tuple(found.get("satellites", "").split()), parameters)

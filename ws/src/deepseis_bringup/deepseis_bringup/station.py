@@ -175,6 +175,8 @@ def run_station(
     ):
         watch.refuse_namesake()
         say(f"recording to {graph.record_dir}" if graph.record_dir else "not recording")
+        for line in config.estimate(folder):
+            say(line)
         with running(supervisor):
             try:
                 _follow(supervisor, watch, graph.sample_rate_hz, show)

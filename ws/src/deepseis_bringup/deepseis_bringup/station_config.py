@@ -8,18 +8,19 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from deepseis_bringup.archive import ArchiveConfig, free_bytes
+from deepseis_bringup.archive_report import estimate
 from deepseis_bringup.graph import ALL_SATELLITES, KINDS, GraphConfig
 from deepseis_bringup.run_records import with_records
 from deepseis_bringup.runs import RunOptions, Selection, graph_config
 from deepseis_core.errors import InputError
-from deepseis_core.yaml_config import Entry, fill
+from deepseis_core.yaml_config import Entry, fill, read_yaml
 from deepseis_frontend.if_open import open_source
 from deepseis_frontend.imu_file import Installation
 
 MODES = ("realtime", "lockstep")
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+ARCHIVE_KEYS = tuple(item.name for item in fields(ArchiveConfig))
 IMU_KEYS = ("file", *(item.name for item in fields(Installation)))
 SOURCE_KEYS = (*(item.name for item in fields(Selection)), "pace", "window_blocks")
 
@@ -39,6 +40,7 @@ class StationConfig:
     one_process: bool = True
     record: bool = True
     record_if: bool = True
+    archive: ArchiveConfig = field(default_factory=ArchiveConfig)
     imu: Mapping[str, Any] = field(default_factory=dict)
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
@@ -54,6 +56,8 @@ class StationConfig:
         pacing = {k: v for k, v in self.source.items() if k in ("pace", "window_blocks")}
         parameters = {kind: dict(values) for kind, values in self.parameters.items()}
         parameters["if_source"] = {**pacing, **parameters.get("if_source", {})}
+        if self.archive != ArchiveConfig():
+            parameters["recorder"] = {**vars(self.archive), **parameters.get("recorder", {})}
         if self.mode == "realtime":
             search = parameters.get("acquisition", {})
             parameters["acquisition"] = {"latency_slots": REALTIME_LATENCY_SLOTS, **search}
@@ -67,6 +71,15 @@ class StationConfig:
             installation=self.imu.get("installation"),
             parameters=parameters,
         )
+
+    def estimate(self, folder: Path) -> list[str]:
+        """Say what recording into ``folder`` will take, and whether it fits."""
+        if not self.record or self.mode == "lockstep":
+            return []
+        source = open_source(self.selection)
+        rate = source.format.bytes_for(round(source.sample_rate_hz)) * self.record_if
+        pace = float(self.source.get("pace", 1.0))
+        return estimate(self.archive, rate * pace, free_bytes(folder))
 
     def graph(self, folder: Path) -> GraphConfig:
         """Return the graph that runs into ``folder``; its bag records the settings for replay.
@@ -95,15 +108,7 @@ def read_station_config(path: str | Path) -> StationConfig:
     InputError
         The file cannot be read, a key is unknown or a value makes no sense.
     """
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-        values = yaml.safe_load(text)
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(path, f"is not YAML: {' '.join(str(error).split())}") from None
-    return station_config({} if values is None else values, path)
+    return station_config(read_yaml(path).plain(), Path(path))
 
 
 def station_config(values: Any, path: Path) -> StationConfig:
@@ -120,6 +125,7 @@ def station_config(values: Any, path: Path) -> StationConfig:
         station=check.name(values.get("station")),
         source=check.source(source),
         satellites=check.satellites(values.get("satellites", "all")),
+        archive=check.archive(check.mapping(values.get("archive"), "archive", ARCHIVE_KEYS)),
         imu=check.imu(check.mapping(values.get("imu"), "imu", IMU_KEYS)),
         mode=str(values.get("mode", "realtime")),
         parameters=check.files(parameters),
@@ -194,6 +200,14 @@ class _Checker:
             entries = {key: _entry(value, f"{self.path}: imu") for key, value in values.items()}
             out["installation"] = fill(Installation, Entry(entries, f"{self.path}: imu"))
         return out
+
+    def archive(self, values: dict[str, Any]) -> ArchiveConfig:
+        """Return how the recording is cut and what is kept of it."""
+        where = f"{self.path}: archive"
+        entries = {key: _entry(value, where) for key, value in values.items()}
+        config = fill(ArchiveConfig, Entry(entries, where))
+        self.that(not config.complaint(), f"archive: {config.complaint()}")
+        return config
 
     def files(self, parameters: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
         """Make the files that parameters name relative to the configuration."""

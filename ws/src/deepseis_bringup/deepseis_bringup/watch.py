@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterable, Mapping
 from types import TracebackType
@@ -18,6 +19,7 @@ from deepseis_bringup.restarts import Restarts
 from deepseis_core.errors import InputError
 from deepseis_core.ros import qos
 from deepseis_core.ros.convert import ns_from_stamp
+from deepseis_core.ros.reach import choose_reach
 from deepseis_msgs.msg import Watermark
 
 PATIENCE = 180.0
@@ -49,6 +51,7 @@ class GraphWatch:
         members: Iterable[str] = (),
         restarts: Restarts | None = None,
     ) -> None:
+        choose_reach(os.environ)
         number = environment.get("ROS_DOMAIN_ID")
         self.context = Context()
         rclpy.init(context=self.context, domain_id=int(number) if number else None)

@@ -15,6 +15,11 @@ class InputError(Exception):
     hint : str, optional
         What the user can do.
 
+    Notes
+    -----
+    What was read may be quoted: line ends and control characters are written as escapes, and the
+    middle of a long text is left out.
+
     Examples
     --------
     >>> str(InputError("a.bin", "is a directory", "name an IF file"))
@@ -22,5 +27,20 @@ class InputError(Exception):
     """
 
     def __init__(self, what: object, reason: str, hint: str = "") -> None:
-        self.what, self.reason, self.hint = str(what), reason, hint
-        super().__init__(f"{what}: {reason}" + (f" ({hint})" if hint else ""))
+        self.what, self.reason, self.hint = _one_line(str(what)), _one_line(reason), hint
+        super().__init__(f"{self.what}: {self.reason}" + (f" ({hint})" if hint else ""))
+
+
+def _one_line(text: str, longest: int = 400) -> str:
+    r"""Make a text a part of one line that a terminal shows.
+
+    Examples
+    --------
+    >>> _one_line("a\nb"), len(_one_line(1000 * "x"))
+    ('a\\nb', 400)
+    """
+    if len(text) > longest:
+        text = f"{text[: longest - 103]}...{text[-100:]}"
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

@@ -3,12 +3,14 @@
 The index at the file's end is not needed: after ``kill -9`` there is none. A file that ends
 within a record is *cut*: everything before is given and :attr:`McapScan.cut_at` tells where it
 stops. Bytes that contradict themselves (a checksum, an impossible length) are *damage*: an
-``InputError``, or, when tolerated, a chunk left out and counted.
+``InputError``, or, when tolerated, a chunk left out and counted; the scan goes on at the next
+place that looks like the beginning of a chunk.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -33,6 +35,10 @@ RECORD_HEAD: Final = struct.Struct("<BQ")
 CHUNK_HEAD: Final = struct.Struct("<QQQII")
 LAST_OPCODE: Final = int(Opcode.DATA_END)
 PRIVATE_OPCODE: Final = 0x80  # opcodes from here on are for others' use, and skipped
+CHUNK_START: Final = re.compile(
+    rb"\x06(?=(.{8}.{28}(?:\x04\x00{3}zstd|\x03\x00{3}lz4|\x00{4})))", re.DOTALL
+)
+"""Opcode, length, head and compression of a chunk."""
 RECOVER: Final = "try: deepseis recover BAG"
 
 
@@ -109,6 +115,7 @@ class McapScan:
         self.attachments: list[records.Attachment] = []
         self.cut_at: int | None = None
         self.damaged_chunks = 0
+        self._damage: set[int] = set()
         self._schemas: dict[int, records.Schema] = {}
         _require_mcap(self.path)
 
@@ -123,26 +130,56 @@ class McapScan:
         with self.path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
             file.seek(len(MAGIC))
+            trusted = len(MAGIC)  # everything before has been read, or found to be damaged
             while True:
                 start = file.tell()
                 head = file.read(RECORD_HEAD.size)
-                if len(head) < RECORD_HEAD.size:
-                    self.cut_at = start
+                opcode, length = RECORD_HEAD.unpack(head.ljust(RECORD_HEAD.size, b"\0"))
+                if opcode in (Opcode.DATA_END, Opcode.FOOTER) and length <= size - file.tell():
+                    if self._damage and self._found_chunk(file, trusted, size):
+                        continue
                     return
-                opcode, length = RECORD_HEAD.unpack(head)
                 unknown = opcode == 0 or LAST_OPCODE < opcode < PRIVATE_OPCODE
-                if length > size - file.tell() or unknown:
-                    self._require_cut(file, start, opcode)
-                    return
-                if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                is_short = len(head) < RECORD_HEAD.size
+                if is_short or unknown or length > size - file.tell():
+                    if self._found_chunk(file, trusted, size):
+                        continue
+                    if not is_short:
+                        self._require_cut(file, start, opcode)
+                    self.cut_at = start
                     return
                 try:
                     if length > RECORD_LIMIT:
                         file.seek(length, os.SEEK_CUR)
                         raise _Damage("its length is impossible")
                     yield from self._record(opcode, file.read(length), wanted)
+                    trusted = file.tell() if opcode == Opcode.CHUNK else trusted
                 except _ERRORS as error:
                     self._damaged(opcode, start, error)
+                    trusted = start + 1
+
+    def _found_chunk(self, file: BinaryIO, at: int, size: int) -> bool:
+        """Go on at the next chunk from a place on, if there is one and damage is tolerated."""
+        reach = 1 << 24
+        while self.tolerant and at < size:
+            file.seek(at)
+            block = file.read(reach + CHUNK_HEAD.size + RECORD_HEAD.size + 16)
+            for match in CHUNK_START.finditer(block):
+                (length,) = struct.unpack_from("<Q", match[1])
+                end = match.end(1)
+                inside = len(match[1]) + int.from_bytes(block[end : end + 8], "little")
+                left = size - at - match.start() - RECORD_HEAD.size
+                if length == inside <= min(RECORD_LIMIT, left):
+                    self._note_damage(at)
+                    file.seek(at + match.start())
+                    return True
+            at += reach
+        return False
+
+    def _note_damage(self, at: int) -> None:
+        """Count damage between chunks, unless it is that of the chunk before."""
+        self.damaged_chunks += at - 1 not in self._damage
+        self._damage.add(at)
 
     @property
     def has_end(self) -> bool:
@@ -168,6 +205,7 @@ class McapScan:
     def _damaged(self, opcode: int, start: int, error: BaseException) -> None:
         if self.tolerant:
             self.damaged_chunks += 1
+            self._damage.add(start)
             return
         name = Opcode(opcode).name.lower() if opcode <= LAST_OPCODE else "record"
         reason = str(error) or type(error).__name__

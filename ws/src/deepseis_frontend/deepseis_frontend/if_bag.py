@@ -6,8 +6,10 @@ far as it goes. Blocks are views of the bag's chunks, nothing is copied.
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -17,7 +19,7 @@ import yaml
 from deepseis_core.errors import InputError
 from deepseis_core.if_format import IfFormat
 from deepseis_core.interface import RECORD, require_interface
-from deepseis_core.mcap_scan import Channel, McapScan
+from deepseis_core.mcap_scan import Channel, McapScan, Message
 from deepseis_core.types import IfBlock
 from deepseis_frontend.if_stream import Remark
 
@@ -112,7 +114,7 @@ def bag_files(path: str | Path) -> list[Path]:
         return [path]
     index = path / "metadata.yaml"
     if not index.is_file():
-        files = sorted(path.glob("*.mcap"))
+        files = mcap_files(path)
     else:
         try:
             facts = yaml.safe_load(index.read_text(encoding="utf-8"))[
@@ -120,7 +122,10 @@ def bag_files(path: str | Path) -> list[Path]:
             ]
             storage, names = facts["storage_identifier"], facts["relative_file_paths"]
             files = [path / Path(str(name)).name for name in names]
-        except (OSError, ValueError, KeyError, TypeError, yaml.YAMLError) as error:
+        except (
+            *(OSError, ValueError, KeyError, TypeError, RecursionError),
+            yaml.YAMLError,
+        ) as error:
             reason = " ".join(str(error).split())
             raise InputError(index, f"is not a bag's metadata: {reason}") from None
         if storage != "mcap":
@@ -128,6 +133,29 @@ def bag_files(path: str | Path) -> list[Path]:
     if not files:
         raise InputError(path, "holds no bag", "name an MCAP file or a folder with metadata.yaml")
     return files
+
+
+def mcap_files(folder: Path) -> list[Path]:
+    """List a folder's MCAP files in the order in which they were recorded.
+
+    They end in a number; one that has none, as the head of a ring, comes first. Empty ones, left
+    by a loss of power, do not count.
+    """
+
+    def order(path: Path) -> tuple[int, str]:
+        number = re.search(r"_(\d{1,18})$", path.stem)
+        return (int(number[1]) if number else -1), path.name
+
+    found = [f for f in folder.glob("*.mcap") if not f.name.startswith(".")]
+    return sorted((f for f in found if f.stat().st_size), key=order)
+
+
+def first_messages(path: str | Path, count: int) -> Iterator[Message]:
+    """Yield the first messages of a bag, damaged or not, over as many files as they take."""
+    messages = (
+        message for file in bag_files(path) for message in McapScan(file, tolerant=True).messages()
+    )
+    return islice(messages, count)
 
 
 class IfBag:

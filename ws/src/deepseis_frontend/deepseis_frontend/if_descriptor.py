@@ -20,10 +20,9 @@ from datetime import UTC, date, datetime, time
 from pathlib import Path
 from typing import Any, Final
 
-import yaml
-
 from deepseis_core.errors import InputError
 from deepseis_core.if_format import IfFormat
+from deepseis_core.yaml_config import read_yaml
 
 EXAMPLE: Final = "format: iq8, sample_rate_hz: 4.0e6, intermediate_frequency_hz: 0.0"
 
@@ -95,12 +94,9 @@ def read_descriptor(path: str | Path, **given: Any) -> IfDescriptor:
 
 def _read_yaml(path: Path) -> dict[str, Any]:
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(path, f"is not a readable descriptor: {reason}", EXAMPLE) from None
-    if not isinstance(values, dict):
-        raise InputError(path, "is not a descriptor", EXAMPLE)
+        values: dict[str, Any] = read_yaml(path).plain()
+    except InputError as error:
+        raise InputError(error.what, f"is not a descriptor: {error.reason}", EXAMPLE) from None
     return values
 
 

@@ -22,6 +22,7 @@ from deepseis_core.ros import codecs, diagnostics, qos
 from deepseis_core.ros.codecs import subscribe
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
+from deepseis_core.ros.steady import every
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import Displacement, DisplacementSource, Pvt, Station
 from deepseis_msgs.msg import InsSolution
@@ -73,7 +74,7 @@ class ExporterNode(Node):
         subscribe(self, codecs.DISPLACEMENT, "seismo/displacement", self.on_motion, DEEP)
         self.create_subscription(Imu, "imu/data_raw", self.on_imu, DEEP, raw=True)
         self.diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.STREAM)
-        self.create_timer(1.0, self.report)
+        every(self, 1.0, self.report)
 
     def put(self, name: Path, records: bytes) -> None:
         """Hand records on; the archive first."""

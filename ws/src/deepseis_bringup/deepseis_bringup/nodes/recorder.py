@@ -1,4 +1,4 @@
-"""Node: records every topic of the graph, byte for byte, into one MCAP file."""
+"""Node: records every topic of the graph, byte for byte, into a bag of MCAP files."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
-from deepseis_bringup.mcap_recording import BagWriter
+from deepseis_bringup.archive import Archive, ArchiveConfig
+from deepseis_bringup.archive_report import disk_report
 from deepseis_bringup.recording_queue import (
     StampOrder,
+    about_whom,
+    event_span,
     if_block_end,
     speaker_of,
     stamp_of_cdr,
@@ -19,14 +23,18 @@ from deepseis_bringup.recording_queue import (
 from deepseis_bringup.ros_definitions import TopicQos
 from deepseis_core.config import setting
 from deepseis_core.errors import InputError
-from deepseis_core.ros import qos
+from deepseis_core.ros import diagnostics, qos
 from deepseis_core.ros.cdr import message_class
 from deepseis_core.ros.convert import ns_from_stamp
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
+from deepseis_core.ros.steady import every
 from deepseis_msgs.msg import Watermark
 
+LEVELS = (diagnostics.OK, diagnostics.WARN, diagnostics.ERROR)
+LASTING = ("station", "gnss/ephemeris", "motion/state")
+"""Topics whose last message holds until the next."""
 SHARED_WAIT_NS = 1_000_000_000
 """Realtime: a message of a shared topic waits so long for a node that hangs."""
 
@@ -44,19 +52,32 @@ class RecorderConfig:
 
 
 class RecorderNode(Node):
-    """In: all topics given. Out: the bag, flow/recorder. Parameters: RecorderConfig."""
+    """In: all topics given. Out: the bag, flow/recorder, in realtime /diagnostics of the disk.
+
+    Parameters: RecorderConfig, ArchiveConfig.
+    """
 
     def __init__(self, process: Process) -> None:
         super().__init__("recorder")
         self.flow = Flow(self, process, "recorder", declare(self, FlowConfig))
         self.config = declare(self, RecorderConfig)
+        self.archive = declare(self, ArchiveConfig)
         reject_unknown(self)
         if not self.config.directory:
             raise InputError("parameter directory of recorder", "is empty", "name a new folder")
         records = json.loads(self.config.records or "{}")
-        self.writer = BagWriter(
-            self.config.directory, records, compression=self.config.compression
+        self.writer = Archive(
+            self.config.directory,
+            records,
+            config=self.archive,
+            keys={self.resolve_topic_name(topic): about_whom for topic in LASTING},
+            compression=self.config.compression,
+            patient=not self.flow.lockstep,
         )
+        self.began_ns = 0
+        if not self.flow.lockstep:
+            self.reports = self.create_publisher(DiagnosticArray, "/diagnostics", qos.STREAM)
+            every(self, 1.0, self.report)
         self.records_if = False
         self.last_if = -1
         self.types: dict[str, str] = {}
@@ -77,7 +98,7 @@ class RecorderNode(Node):
         offered = TopicQos(durability=durability, depth=chosen.depth)
         self.writer.add_topic(name, type_name, offered)
         self.types[name] = type_name
-        is_if = topic == "if/samples"
+        is_if, is_event = topic == "if/samples", topic.endswith("seismo/event")
 
         def on_bytes(cdr: bytes, _info: Any = None) -> None:
             stamp_ns = stamp_of_cdr(cdr)
@@ -87,6 +108,8 @@ class RecorderNode(Node):
                 self.write(self.order.due())
                 return
             self.writer.write(name, type_name, cdr, stamp_ns, stamp_ns)
+            if is_event:
+                self.writer.keep(*event_span(cdr))
             if is_if:
                 self.acknowledge_if(cdr, stamp_ns)
 
@@ -118,6 +141,17 @@ class RecorderNode(Node):
         """Write messages: topic, stamp, bytes."""
         for name, stamp_ns, cdr in messages:
             self.writer.write(name, self.types[name], cdr, stamp_ns, stamp_ns)
+
+    def report(self) -> None:
+        """Say how disk and archive are."""
+        state = self.writer.state()
+        self.began_ns = self.began_ns or state.oldest_ns
+        if state.newest_ns:
+            found = disk_report(self.archive, state, self.began_ns)
+            level = LEVELS[found.level]
+            self.reports.publish(
+                diagnostics.encoded("recorder", level, found.text, found.values, state.newest_ns)
+            )
 
     def close(self) -> None:
         """Finish the bag."""

@@ -23,6 +23,7 @@ from deepseis_core.interface import SHARED_TOPICS
 from deepseis_core.ros import qos
 from deepseis_core.ros.convert import stamp_from_ns
 from deepseis_core.ros.main import Process
+from deepseis_core.ros.steady import every
 from deepseis_msgs.msg import Watermark
 
 ACKNOWLEDGE_SECONDS = 5.0
@@ -68,8 +69,8 @@ class Flow:
         self._said_at = 0.0
         self._announced_ns = 0
         self._on_ready: list[Callable[[], None]] = []
-        self._timer = node.create_timer(0.02, self._check_ready)
-        node.create_timer(REPEAT_SECONDS, self._repeat)
+        self._timer = every(node, 0.02, self._check_ready)
+        every(node, REPEAT_SECONDS, self._repeat)
 
     @property
     def lockstep(self) -> bool:

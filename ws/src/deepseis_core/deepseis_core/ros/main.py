@@ -8,7 +8,6 @@ import sys
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -18,9 +17,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from deepseis_core.errors import InputError
-
-DDS_PROFILE = Path(__file__).with_name("fastdds.xml")
-"""How often writers ask for receipts; a file named in the environment goes first."""
+from deepseis_core.ros.reach import choose_reach
 
 
 @dataclass(frozen=True)
@@ -62,7 +59,7 @@ def run(build: Callable[[Process], None], name: str, args: list[str] | None = No
     Exit status 0 after an orderly end or a signal, 2 for bad input (one line on stderr), 1 for
     a failure.
     """
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(DDS_PROFILE))
+    choose_reach(os.environ)
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rcl has many names for arguments that it cannot read

@@ -15,6 +15,7 @@ from deepseis_core.ros import codecs, diagnostics, qos
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
+from deepseis_core.ros.steady import every
 from deepseis_core.sample_clock import SampleClock, utc_ns_from_iso
 from deepseis_core.types import IfBlock as IfBlockValue
 from deepseis_frontend.credits import CreditWindow
@@ -65,7 +66,7 @@ class IfSourceNode(Node):
         self.started_at = 0.0
         self.flow.when_ready(self.advance)
         period = 0.002 if not self.flow.lockstep else 1.0
-        self.create_timer(period, self.advance if not self.flow.lockstep else self.look_for_dead)
+        every(self, period, self.advance if not self.flow.lockstep else self.look_for_dead)
 
     def on_watermark(self, msg: Watermark) -> None:
         """Take a member's credit and send what it allows."""

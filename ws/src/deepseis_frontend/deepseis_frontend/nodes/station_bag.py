@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import islice
 from pathlib import Path
 
 from deepseis_core.errors import InputError
-from deepseis_core.mcap_scan import Channel, McapScan
+from deepseis_core.mcap_scan import Channel
 from deepseis_core.ros import codecs
 from deepseis_core.ros.cdr import CdrError
 from deepseis_core.types import Station
-from deepseis_frontend.if_bag import bag_files
+from deepseis_frontend.if_bag import first_messages
 
 TYPE = "deepseis_msgs/msg/Station"
 LOOKED_AT = 2000
@@ -27,13 +26,12 @@ def read_station(path: str | Path) -> tuple[Station, int] | None:
     InputError
         It is there and cannot be read.
     """
-    file = bag_files(path)[0]
-    for message in islice(McapScan(file, tolerant=True).messages(), LOOKED_AT):
+    for message in first_messages(path, LOOKED_AT):
         if _is_station(message.channel):
             try:
                 return codecs.STATION.decode(bytes(message.data))
             except CdrError as error:
-                raise InputError(file, f"holds an unreadable station: {error}") from None
+                raise InputError(path, f"holds an unreadable station: {error}") from None
     return None
 
 

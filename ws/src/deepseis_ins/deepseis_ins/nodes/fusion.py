@@ -26,6 +26,7 @@ from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.odometry import odometry_from_solution
 from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.ros.realtime import RealtimeReport
+from deepseis_core.ros.steady import every
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import Ephemeris, MotionState, PrecisePosition, Pvt, Station
 from deepseis_ins.fusion_config import FusionConfig
@@ -107,7 +108,7 @@ class FusionNode(Node):
         if not self.flow.lockstep:
             meters = {"imu_to_aiding": "from IMU sample to aiding"}
             self.realtime = RealtimeReport(self, "fusion", meters, config.fusion_deadline_ms)
-            self.create_timer(0.005, self.on_deadline)
+            every(self, 0.005, self.on_deadline)
 
     def station(self) -> Station:
         """Return the station as the parameters have it."""

@@ -22,6 +22,7 @@ from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.navsat import fix_from_pvt
 from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.ros.realtime import RealtimeReport
+from deepseis_core.ros.steady import every
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import Ephemeris, MotionState, TrackingEpochs
 from deepseis_core.types import Observations as ObservationsValue
@@ -128,7 +129,7 @@ class PvtNode(Node):
         self.flow.follow(self.members, self.on_watermark)
         self.realtime = None if self.flow.lockstep else RealtimeReport(self, "pvt")
         if not self.flow.lockstep:
-            self.create_timer(0.02, self.on_deadline)
+            every(self, 0.02, self.on_deadline)
 
     def load_navigation(self) -> None:
         """Preload ephemerides."""

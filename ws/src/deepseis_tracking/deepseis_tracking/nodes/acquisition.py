@@ -15,6 +15,7 @@ from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.ros.realtime import RealtimeReport
+from deepseis_core.ros.steady import every
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import IfBlock
 from deepseis_msgs.msg import AcquisitionRequest, AcquisitionResult, Watermark
@@ -59,7 +60,7 @@ class AcquisitionNode(Node):
             AcquisitionRequest, "acquisition/request", self.on_request, qos.LATCHED
         )
         if not self.flow.lockstep:
-            self.create_timer(0.02, self.on_deadline)
+            every(self, 0.02, self.on_deadline)
 
     def on_if_block(self, block: IfBlock, utc_ns: int) -> None:
         """Queue the block."""

@@ -20,6 +20,7 @@ from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process
 from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.ros.realtime import RealtimeReport
+from deepseis_core.ros.steady import every
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import AcquisitionResult, Aiding, IfBlock
 from deepseis_msgs.msg import AcquisitionRequest, Ephemeris, TrackingEpochs, Watermark
@@ -86,7 +87,7 @@ class TrackerHost:
         self.came = {"imu_to_use": Arrivals(), "aiding_to_use": Arrivals()}
         self.subscriptions = self.subscribe()
         if not self.flow.lockstep:
-            node.create_timer(0.01, self.on_deadline)
+            every(node, 0.01, self.on_deadline)
 
     def subscribe(self) -> list[Any]:
         """Subscribe to the inputs."""
