@@ -10,9 +10,12 @@ import pytest
 
 SOURCES = Path(__file__).resolve().parents[3] / "ws/src"
 PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/setup.py"))
-APT = {"numpy": "python3-numpy", "scipy": "python3-scipy", "yaml": "python3-yaml"} | {
-    "rich": "python3-rich"
-}
+APT = {
+    "numpy": "python3-numpy",
+    "aiohttp": "python3-aiohttp",
+    "scipy": "python3-scipy",
+    "yaml": "python3-yaml",
+} | {"rich": "python3-rich"}
 COMES_WITH = {"llvmlite": "numba", "builtin_interfaces": "std_msgs", "launch_ros": "launch"}
 
 

@@ -6,6 +6,7 @@ import yaml
 
 from deepseis_bringup.graph import ALL_SATELLITES, KINDS, build_graph
 from deepseis_bringup.station_config import StationConfig, read_station_config, station_config
+from deepseis_bringup.web_options import WebOptions
 from deepseis_core.errors import InputError
 from deepseis_frontend.nodes.if_source import SourceConfig
 from deepseis_pvt.nodes.pvt import NodeConfig
@@ -188,3 +189,17 @@ def test_the_imu_and_how_it_stands(tmp_path, recording):
         read(tmp_path, text + imu.replace("imu_to_antenna", "lever"))
     without = read(tmp_path, text).graph(tmp_path / "run")
     assert without.aiding == ""
+
+
+def test_the_file_says_where_the_live_page_is(tmp_path):
+    assert read(tmp_path, "live_page: {address: 10.0.0.1}").live_page is None
+    text = "live_page: {port: 9000, token_file: token, names: [seis.example.org]}"
+    page = read(tmp_path, text).live_page
+    expected = WebOptions(9000, "127.0.0.1", str(tmp_path / "token"), ("seis.example.org",))
+    assert page == expected
+
+
+@pytest.mark.parametrize("wrong", ["{port: many}", "{port: 70000}", "{names: a}", "{prot: 1}"])
+def test_a_live_page_that_makes_no_sense_is_refused(tmp_path, wrong):
+    with pytest.raises(InputError, match="live_page"):
+        read(tmp_path, f"live_page: {wrong}")

@@ -24,7 +24,7 @@ setup(
     maintainer="DeepSeis developers",
     maintainer_email="deepseis@posteo.net",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={"": ["py.typed", "*.yaml", "*.csv", "*.txt", "*.json"]},
+    package_data={"": ["py.typed", "*.yaml", "*.csv", "*.txt", "*.json", "page/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -38,6 +38,7 @@ setup(
             "deepseis = deepseis_bringup.cli:main",
             "recorder = deepseis_bringup.nodes.recorder:main",
             "exporter = deepseis_bringup.nodes.exporter:main",
+            "web = deepseis_bringup.nodes.web:main",
         ],
     },
 )

@@ -1,5 +1,6 @@
 """The deepseis command: declares what can be run; each command imports what it needs."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +16,7 @@ from deepseis_bringup import (
     cli_station,
     cli_theory,
 )
+from deepseis_bringup.cli_web import with_default_port
 
 app = typer.Typer(
     help="A GNSS/INS seismograph station: ground motion through strong earthquakes.",
@@ -98,7 +100,7 @@ for commands in (
 
 def main() -> None:
     """Run the command."""
-    app(prog_name="deepseis")
+    app(with_default_port(sys.argv[1:]), prog_name="deepseis")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from deepseis_bringup.cli_common import Bag, Out, add_command, bag_of, into_run_folder, say_figures
+from deepseis_bringup.cli_web import WebAddress, WebNames, WebPort, WebToken, web_options
 
 
 def demo(
@@ -59,6 +60,10 @@ def replay(
             "--set", help="Parameter of a node: tracker.aided_bandwidth_hz=5; repeatable."
         ),
     ] = None,
+    web: WebPort = None,
+    web_address: WebAddress = None,
+    web_token_file: WebToken = None,
+    web_name: WebNames = None,
 ) -> None:
     r"""Run a recorded run's samples through the graph again.
 
@@ -80,6 +85,7 @@ def replay(
             record_if=not without_if,
             aiding="" if without_imu else "auto",
             parameters=parameters_of(settings or ()),
+            web=web_options(web, web_address, web_token_file, web_name),
         )
         say_figures(runs.replay(bag_of(bag), folder, options))
 
@@ -117,6 +123,10 @@ def process(
         ),
     ] = None,
     output: Out = None,
+    web: WebPort = None,
+    web_address: WebAddress = None,
+    web_token_file: WebToken = None,
+    web_name: WebNames = None,
 ) -> None:
     r"""Run an IF recording of your own through the graph.
 
@@ -150,6 +160,7 @@ def process(
             record_if=False,
             imu_file=str(imu) if imu else "",
             parameters={"pvt": known, "acquisition": known, **orbits},
+            web=web_options(web, web_address, web_token_file, web_name),
         )
         figures = runs.run_recording(selection, folder, options)
         say_figures(

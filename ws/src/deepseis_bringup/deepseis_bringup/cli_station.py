@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from deepseis_bringup.cli_common import Out, add_command, into_run_folder, one_line_errors, say
+from deepseis_bringup.cli_web import WebAddress, WebNames, WebPort, WebToken, web_options
 
 Config = Annotated[
     Path | None, typer.Option(help="Configuration [YAML]; `--example` prints one, explained.")
@@ -20,6 +22,10 @@ def station(
     example: Annotated[
         bool, typer.Option("--example", help="Print the example configuration and end.")
     ] = False,
+    web: WebPort = None,
+    web_address: WebAddress = None,
+    web_token_file: WebToken = None,
+    web_name: WebNames = None,
 ) -> None:
     r"""Run the station live until Ctrl-C or the end of its source.
 
@@ -49,6 +55,8 @@ def station(
         from deepseis_bringup.station_config import read_station_config
 
         settings = read_station_config(config or example_path())
+        page = web_options(web, web_address, web_token_file, web_name, settings.live_page)
+        settings = replace(settings, live_page=page)
         with console.status("starting") as status:
             show = status.update if console.is_terminal else lambda _line: None
             figures = run_station(settings, folder, say=say, show=show)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -22,10 +22,12 @@ from deepseis_bringup.inertial import (
     inertial_parameters,
     installed_parameters,
 )
+from deepseis_bringup.live_page import LivePage, live_page
 from deepseis_bringup.restarts import Restarts
 from deepseis_bringup.run_records import input_hash, recorded_run, versions, with_records
 from deepseis_bringup.supervisor import NodeFailureError, Supervisor, own_domain, running
 from deepseis_bringup.watch import GraphWatch
+from deepseis_bringup.web_options import WebOptions
 from deepseis_core.errors import InputError
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.sample_clock import utc_ns_from_iso
@@ -70,6 +72,7 @@ class RunOptions:
     installation: Installation | None = None
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     timeout: float | None = None
+    web: WebOptions | None = None
 
 
 SHORT_S = 3.0
@@ -187,16 +190,17 @@ def run_recording(
         )
         members = [spec.name for spec in supervisor.specs if spec.name != "if_source"]
         with (
+            live_page(options.web, folder, _say, environment) as pages,
             running(supervisor),
             GraphWatch(environment, members=members, restarts=restarts) as watch,
         ):
-            elapsed = _follow(supervisor, watch, source, options, progress)
+            elapsed = _follow(supervisor, watch, pages, source, options, progress)
     duration = _seconds(source, watch.valid_through)
     if duration <= 0:
         raise InputError(selection.file, "no sample came through the graph")
     remarks = supervisor.warnings("if_source")
     for text in remarks:
-        console.print(f"deepseis: {text}", highlight=False, soft_wrap=True, markup=False)
+        _say(text)
     return {
         **({"input_remarks": "; ".join(remarks)} if remarks else {}),
         "input": str(Path(selection.file).name),
@@ -211,9 +215,14 @@ def run_recording(
     }
 
 
+def _say(text: str) -> None:
+    console.print(f"deepseis: {text}", highlight=False, soft_wrap=True, markup=False)
+
+
 def _follow(
     supervisor: Supervisor,
     watch: GraphWatch,
+    pages: Sequence[LivePage],
     source: IfSource,
     options: RunOptions,
     progress: bool,
@@ -225,6 +234,8 @@ def _follow(
         def poll() -> None:
             done = watch.poll()
             watch.require_progress()
+            for page in pages:
+                page.tend()
             if show is not None:
                 show(_seconds(source, done))
 

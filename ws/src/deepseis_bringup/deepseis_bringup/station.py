@@ -8,7 +8,7 @@ import re
 import signal
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 
 from deepseis_bringup.graph import build_graph
+from deepseis_bringup.live_page import LivePage, live_page
 from deepseis_bringup.restarts import Restarts
 from deepseis_bringup.run_records import versions
 from deepseis_bringup.station_config import StationConfig
@@ -177,9 +178,12 @@ def run_station(
         say(f"recording to {graph.record_dir}" if graph.record_dir else "not recording")
         for line in config.estimate(folder):
             say(line)
-        with running(supervisor):
+        with (
+            live_page(config.live_page, folder, say, namespace=config.station) as pages,
+            running(supervisor),
+        ):
             try:
-                _follow(supervisor, watch, graph.sample_rate_hz, show)
+                _follow(supervisor, watch, pages, graph.sample_rate_hz, show)
             except KeyboardInterrupt:
                 reason = "interrupted"
                 say("stopping")
@@ -199,7 +203,11 @@ def run_station(
 
 
 def _follow(
-    supervisor: Supervisor, watch: StationWatch, rate_hz: float, show: Callable[[str], None]
+    supervisor: Supervisor,
+    watch: StationWatch,
+    pages: Sequence[LivePage],
+    rate_hz: float,
+    show: Callable[[str], None],
 ) -> None:
     shown = 0.0
 
@@ -207,6 +215,8 @@ def _follow(
         nonlocal shown
         for _ in range(4):
             watch.poll()
+        for page in pages:
+            page.tend()
         if time.monotonic() - shown > 0.1:
             shown = time.monotonic()
             show(watch.line(rate_hz))

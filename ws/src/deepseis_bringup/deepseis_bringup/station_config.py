@@ -13,6 +13,7 @@ from deepseis_bringup.archive_report import estimate
 from deepseis_bringup.graph import ALL_SATELLITES, KINDS, GraphConfig
 from deepseis_bringup.run_records import with_records
 from deepseis_bringup.runs import RunOptions, Selection, graph_config
+from deepseis_bringup.web_options import WebOptions
 from deepseis_core.errors import InputError
 from deepseis_core.yaml_config import Entry, fill, read_yaml
 from deepseis_frontend.if_open import open_source
@@ -21,6 +22,7 @@ from deepseis_frontend.imu_file import Installation
 MODES = ("realtime", "lockstep")
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 ARCHIVE_KEYS = tuple(item.name for item in fields(ArchiveConfig))
+WEB_KEYS = tuple(item.name for item in fields(WebOptions))
 IMU_KEYS = ("file", *(item.name for item in fields(Installation)))
 SOURCE_KEYS = (*(item.name for item in fields(Selection)), "pace", "window_blocks")
 
@@ -42,6 +44,7 @@ class StationConfig:
     record_if: bool = True
     archive: ArchiveConfig = field(default_factory=ArchiveConfig)
     imu: Mapping[str, Any] = field(default_factory=dict)
+    live_page: WebOptions | None = None
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
@@ -127,6 +130,7 @@ def station_config(values: Any, path: Path) -> StationConfig:
         satellites=check.satellites(values.get("satellites", "all")),
         archive=check.archive(check.mapping(values.get("archive"), "archive", ARCHIVE_KEYS)),
         imu=check.imu(check.mapping(values.get("imu"), "imu", IMU_KEYS)),
+        live_page=check.live_page(check.mapping(values.get("live_page"), "live_page", WEB_KEYS)),
         mode=str(values.get("mode", "realtime")),
         parameters=check.files(parameters),
         **{key: check.truth(values, key) for key in ("one_process", "record", "record_if")},
@@ -208,6 +212,20 @@ class _Checker:
         config = fill(ArchiveConfig, Entry(entries, where))
         self.that(not config.complaint(), f"archive: {config.complaint()}")
         return config
+
+    def live_page(self, values: dict[str, Any]) -> WebOptions | None:
+        """Return where the live page is, if its port is given."""
+        port = values.get("port") or 0
+        names = values.get("names") or []
+        good = isinstance(port, int) and 0 <= port <= 65535
+        self.that(good, f"live_page.port is {port!r}", "1 to 65535, or 0 for no page")
+        good = isinstance(names, list) and all(isinstance(name, str) for name in names)
+        self.that(good, f"live_page.names is {names!r}", "a list such as [station.example.org]")
+        if not port:
+            return None
+        token_file = str(self.beside(values["token_file"])) if values.get("token_file") else ""
+        address = str(values.get("address") or WebOptions.address)
+        return WebOptions(port, address, token_file, tuple(names))
 
     def files(self, parameters: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
         """Make the files that parameters name relative to the configuration."""

@@ -36,6 +36,7 @@ def generate_launch_description():
 def station_nodes(context):
     """Return one action for each process of the graph."""
     from deepseis_bringup.graph import build_graph
+    from deepseis_bringup.live_page import page_spec
     from deepseis_bringup.runs import new_run_folder
     from deepseis_bringup.station_config import read_station_config
     from deepseis_bringup.supervisor import parameter_file
@@ -44,8 +45,9 @@ def station_nodes(context):
     folder = new_run_folder(Path(LaunchConfiguration("output").perform(context))).resolve()
     specs = build_graph(config.graph(folder))
     (folder / "parameters").mkdir(parents=True)
-    return [
-        Node(
+
+    def node(spec, **how):
+        return Node(
             package=spec.package,
             executable=spec.executable,
             namespace=config.station or None,
@@ -53,10 +55,13 @@ def station_nodes(context):
             arguments=node_arguments(spec),
             parameters=[str(parameter_file(spec, folder / "parameters"))],
             output="screen",
-            on_exit=[Shutdown(reason=f"{spec.name} has ended")],
+            **how,
         )
-        for spec in specs
-    ]
+
+    page = config.live_page
+    looking_on = [node(page_spec(page), respawn=True, respawn_delay=5.0)] if page else []
+    ending = [node(spec, on_exit=[Shutdown(reason=f"{spec.name} has ended")]) for spec in specs]
+    return [*looking_on, *ending]
 
 
 def node_arguments(spec):
