@@ -103,6 +103,41 @@ def test_a_lost_signal_is_given_up_and_flagged():
     assert index * 0.02 < 2.5 + 1.0 + 1.6
 
 
+@pytest.mark.parametrize(("cn0_dbhz", "until"), [(34.0, 4.0), (47.0, 2.5)])
+def test_no_phase_is_called_locked_when_the_signal_has_vanished(cn0_dbhz, until):
+    signal = Signal(cn0_dbhz=cn0_dbhz)
+    channel = Channel("G07", RATE)
+    channel.hand_over(signal.result(), 0)
+    window = BasebandWindow(BLOCK + 60_000)
+    epochs = []
+    for index in range(round((until + 1.0) / 0.02)):
+        if index == round(until / 0.02):
+            assert channel.mode == TrackingMode.TRACK
+            signal.amplitude = 0.0
+        window.push(*signal.block(index), index * BLOCK)
+        epochs.append(channel.advance(window, index * BLOCK, -1)[0])
+    t = column(epochs, "sample_index") / RATE
+    locked = (column(epochs, "flags") & TrackingFlag.PHASE_LOCK) > 0
+    assert locked[(t > until - 0.5) & (t < until - 0.03)].all()
+    assert not locked[t > until + 0.35].any()
+    assert column(epochs, "cn0_dbhz")[t > until + 0.5].max() < 24.0  # and its strength is not remembered
+
+
+def test_a_signal_that_is_10_db_weaker_at_once_keeps_its_lock():
+    signal = Signal(cn0_dbhz=45.0)
+    strong = signal.amplitude
+    channel = Channel("G07", RATE)
+    channel.hand_over(signal.result(), 0)
+    window = BasebandWindow(BLOCK + 60_000)
+    epochs = []
+    for index in range(200):
+        signal.amplitude = strong * (1.0 if index < 125 else 10**-0.5)
+        window.push(*signal.block(index), index * BLOCK)
+        epochs.append(channel.advance(window, index * BLOCK, -1)[0])
+    t = column(epochs, "sample_index") / RATE
+    assert ((column(epochs, "flags")[t > 2.0] & TrackingFlag.PHASE_LOCK) > 0).all()
+
+
 def test_aiding_keeps_the_narrow_loop_on_a_shaken_antenna_and_its_absence_does_not():
     signal = Signal(motion=circle)
     config = TrackingConfig(pll_bandwidth_hz=8.0, aided_bandwidth_hz=8.0)

@@ -49,6 +49,11 @@ class CarrierTruth:
     cn0_dbhz: FloatArray
     elevation: FloatArray
 
+    @property
+    def present(self) -> NDArray[np.bool_]:
+        """Whether there is a signal, shape (m, satellites)."""
+        return np.isfinite(self.cn0_dbhz)
+
     @classmethod
     def read(cls, path: str | Path) -> CarrierTruth:
         """Read the ``truth.npz`` of a simulated input bag."""
@@ -132,6 +137,7 @@ def measure(
         Span in which the phase's constant is told [s]; a slip after it is an error.
     """
     error = phase_errors(tracks, truth, sample_rate_hz)
+    error[~truth.present] = np.nan  # a satellite that has set
     before = _within(truth.t, still)
     inside = _within(truth.t, span)
     seen = [k for k in range(len(truth.satellites)) if np.isfinite(error[before, k]).any()]
@@ -156,13 +162,14 @@ def _figures(
 ) -> LoopFigures:
     track = tracks[name]
     middle = (track["sample_index"] + track["sample_count"] / 2) / sample_rate_hz
-    tracking = track.per_row("mode") >= int(TrackingMode.TRACK)
-    chosen = _within(middle, span) & tracking
+    measured = _within(middle, span) & ~_gone(truth, k, track, sample_rate_hz)
+    chosen = measured & (track.per_row("mode") >= int(TrackingMode.TRACK))
     shown = 360.0 * track["carrier_error_cycles"][chosen].astype(np.float64)
     inside = _within(truth.t, span)
     mean, shares = common
     own = error[:, k] - mean
-    flags = track["flags"][_within(middle, span)].astype(np.int64)
+    flags = track["flags"][measured].astype(np.int64)
+    present = truth.present[inside, k]
     return LoopFigures(
         name,
         float(np.degrees(truth.elevation[k])),
@@ -171,9 +178,35 @@ def _figures(
         float(np.abs(shown).max(initial=0.0)) if shown.size else float("nan"),
         360.0 * _rms(error[:, k]),
         360.0 * _rms(own) / float(np.sqrt(shares[k])) if shares[k] > 0 else float("nan"),
-        float(np.isfinite(error[:, k]).mean()) if len(error) else 0.0,
+        float(np.isfinite(error[present, k]).mean()) if present.any() else 0.0,
         int(((flags & int(TrackingFlag.SLIP)) > 0).sum()),
     )
+
+
+def _gone(truth: CarrierTruth, k: int, track: Columns, sample_rate_hz: float) -> NDArray[np.bool_]:
+    """Tell of each integration whether there was no signal at its end."""
+    end = (track["sample_index"] + track["sample_count"]) / sample_rate_hz
+    at = np.clip(np.searchsorted(truth.t, end), 0, len(truth.t) - 1)
+    return np.asarray(~truth.present[at, k])
+
+
+def locked_without_signal(
+    tracks: Mapping[str, Columns], truth: CarrierTruth, sample_rate_hz: float
+) -> float:
+    """Return the longest time for which a phase is called locked although its signal is gone [s].
+
+    NaN if no satellite sets.
+    """
+    longest = float("nan")
+    for k, satellite in enumerate(truth.satellites):
+        if satellite not in tracks or not (truth.present[:-1, k] & ~truth.present[1:, k]).any():
+            continue
+        track = tracks[satellite]
+        locked = (track["flags"].astype(np.int64) & int(TrackingFlag.PHASE_LOCK)) > 0
+        wrong = _gone(truth, k, track, sample_rate_hz) & locked
+        held = float(track["sample_count"][wrong].sum()) / sample_rate_hz
+        longest = held if not longest >= held else longest
+    return longest
 
 
 def _common(error: FloatArray, cn0_dbhz: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -61,6 +61,8 @@ def _start_mode(state: Any, mode: int) -> None:
         state.mean_error = 0.0
         state.lock_num = 0.0
         state.lock_den = 0.0
+        state.brief = 0.0
+        state.usual = 0.0
         state.phase_lock = 0
         state.narrow_wide = -1.0
         state.cross_i = 0.0

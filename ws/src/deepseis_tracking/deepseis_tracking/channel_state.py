@@ -29,6 +29,8 @@ STATE = np.dtype(
         ("lock_num", "f8"),  # filtered I^2 - Q^2
         ("lock_den", "f8"),  # filtered I^2 + Q^2 - 2
         ("power", "f8"),  # filtered |P|^2 - 2, fast (about 0.3 s): for the code lock
+        ("brief", "f8"),  # the same, 0.06 s, of one integration
+        ("usual", "f8"),  # the same, 1 s
         ("narrow_wide", "f8"),  # filtered narrow-to-wide power ratio, -1 not yet
         ("cross_i", "f8"),  # filtered lag-1 product of the 1 ms prompts
         ("cross_q", "f8"),

@@ -10,18 +10,37 @@ from numba import njit
 
 PERIOD_S = 1e-3
 """Code period [s]."""
+BRIEF_S = 0.06
+"""Time constant of the power that tells whether the signal is still there [s]."""
+GONE = 0.05
+"""Share of its mean power over 1 s below which a signal has vanished [-]: 13 dB."""
+CLEAR = 6.0
+"""Least mean power, in noise variances, of a signal whose vanishing can be told from noise [-]."""
 
 
 @njit(cache=True, nogil=True)
 def update_locks(state: Any, config: Any, i: float, q: float, duration: float) -> None:
-    """Low-pass the lock detectors and apply their hysteresis; ``i``, ``q`` in noise sigmas."""
+    """Low-pass the lock detectors and apply their hysteresis; ``i``, ``q`` in noise sigmas.
+
+    A signal that vanishes ends the phase lock within some 0.2 s, whatever its strength was.
+    """
     alpha = min(1.0, duration / 0.25)
     power = i * i + q * q - 2.0
+    state.brief += min(1.0, duration / BRIEF_S) * (power - state.brief)
+    state.usual += min(1.0, duration) * (power - state.usual)
+    if state.usual > CLEAR and state.brief < GONE * state.usual:
+        # The ratio below forgets numerator and denominator alike: with a strong signal before, it
+        # would call noise locked for seconds.
+        state.phase_lock = 0
+        state.lock_num, state.lock_den, state.usual = 0.0, 0.0, 0.0
+        state.narrow_wide = -1.0
     state.lock_num += alpha * (i * i - q * q - state.lock_num)
     state.lock_den += alpha * (power - state.lock_den)
     state.power += alpha * (power / (2.0 * duration) - state.power)
     indicator = state.lock_num / max(state.lock_den, 0.5)
-    if state.phase_lock == 0 and indicator > config.lock_threshold and state.mode_epochs > 3:
+    seen = state.lock_den > 3.0 * 2.0 * math.sqrt(duration / (2.0 * 0.25))  # 3 sigma of noise
+    clear = indicator > config.lock_threshold and seen
+    if state.phase_lock == 0 and clear and state.mode_epochs > 3:
         state.phase_lock = 1
     elif state.phase_lock == 1 and indicator < config.unlock_threshold:
         state.phase_lock = 0
