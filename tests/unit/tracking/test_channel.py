@@ -120,7 +120,7 @@ def test_no_phase_is_called_locked_when_the_signal_has_vanished(cn0_dbhz, until)
     locked = (column(epochs, "flags") & TrackingFlag.PHASE_LOCK) > 0
     assert locked[(t > until - 0.5) & (t < until - 0.03)].all()
     assert not locked[t > until + 0.35].any()
-    assert column(epochs, "cn0_dbhz")[t > until + 0.5].max() < 24.0  # and its strength is not remembered
+    assert column(epochs, "cn0_dbhz")[t > until + 0.5].max() < 24.0
 
 
 def test_a_signal_that_is_10_db_weaker_at_once_keeps_its_lock():
