@@ -20,6 +20,7 @@ from deepseis_core.types import (
     FloatArray,
     ImuSample,
     IntArray,
+    LdvVelocity,
     MotionKind,
     MotionState,
     Observations,
@@ -31,14 +32,21 @@ from deepseis_core.types import (
 from deepseis_ins.fusion_config import FusionConfig
 from deepseis_ins.fusion_engine import FusionEngine
 from deepseis_ins.fusion_output import FusionOutput
+from deepseis_ins.ldv_engine import LdvFusionEngine
+from deepseis_ins.ldv_fusion import LdvFusionConfig
 from deepseis_ins.motion_engine import MotionEngine, MotionEngineConfig
 from deepseis_ins.motion_state import MotionConfig
+from deepseis_ins.range_config import RangeConfig
+from deepseis_ins.tight import TightConfig
+from deepseis_ins.tight_engine import TightFusionEngine
 from deepseis_pvt.spp import SppSolver
 from deepseis_sim.bench import Bench
-from deepseis_sim.bench_streams import ImuStream, ObservationStream
+from deepseis_sim.bench_streams import ImuStream, LdvStream, ObservationStream
 from deepseis_sim.scenario import load_scenario
 
 EVERYTHING = 2**60
+OCXO = TightConfig(clock_bias_noise=1e-3, clock_drift_noise=0.03)
+"""The bench's oscillator."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +57,8 @@ class Inputs:
     pvt: Sequence[Pvt]
     motion: Sequence[MotionState]
     precise: Sequence[PrecisePosition] = ()
+    observations: Sequence[Observations] = ()
+    ldv: Sequence[LdvVelocity] = ()
 
 
 class FusionBench:
@@ -75,22 +85,31 @@ class FusionBench:
         assert imu is not None
         self.imu_rate_hz = imu.rate_hz
         self.ephemerides = [item.ephemeris for item in self.bench.model.satellites]
-        samples, positions = self._made()
-        self.inputs = Inputs(samples, positions, self._decisions(samples))
+        samples, positions, observations, ldv = self._made()
+        decisions = self._decisions(samples)
+        self.inputs = Inputs(samples, positions, decisions, (), observations, ldv)
 
-    def _made(self) -> tuple[list[ImuSample], list[Pvt]]:
+    def _made(
+        self,
+    ) -> tuple[list[ImuSample], list[Pvt], list[Observations], list[LdvVelocity]]:
         samples: list[ImuSample] = []
         positions: list[Pvt] = []
+        observations: list[Observations] = []
+        ldv: list[LdvVelocity] = []
         by_name = {item.satellite: item for item in self.ephemerides}
         solver = SppSolver()
         for begin, end in self.bench.spans():
             for stream in self.bench.streams:
                 if isinstance(stream, ImuStream):
                     samples += [item.value for item in stream.between(begin, end)]
+                elif isinstance(stream, LdvStream):
+                    ldv += [item.value for item in stream.between(begin, end)]
                 elif isinstance(stream, ObservationStream) and stream.topic.startswith("gnss"):
                     values = [item.value for item in stream.between(begin, end)]
-                    positions += [position_of(solver, item, by_name) for item in values]
-        return samples, positions
+                    observations += values
+                    found = (position_of(solver, item, by_name) for item in values)
+                    positions += [item for item in found if item is not None]
+        return samples, positions, observations, ldv
 
     def _decisions(self, samples: Iterable[ImuSample]) -> list[MotionState]:
         engine = MotionEngine(
@@ -101,9 +120,16 @@ class FusionBench:
             engine.push(sample)
         return [state for _, said in engine.advance(self.bench.sample_count) for state in said]
 
-    def engine(self, config: FusionConfig | None = None, **inputs: Any) -> FusionEngine:
+    def engine(
+        self,
+        config: FusionConfig | None = None,
+        *,
+        ranges: RangeConfig | None = None,
+        ldv_config: LdvFusionConfig | None = None,
+        **inputs: Any,
+    ) -> FusionEngine:
         """Return an engine that has been given everything; ``inputs`` replace the run's own."""
-        engine = self.empty_engine(config)
+        engine = self.empty_engine(config, ranges, ldv_config)
         given = {**vars(self.inputs), **inputs}
         for sample in given["imu"]:
             engine.push_imu(sample)
@@ -111,21 +137,34 @@ class FusionBench:
             engine.push_pvt(pvt)
         for position in given["precise"]:
             engine.push_precise(position)
+        if isinstance(engine, TightFusionEngine):
+            for epoch in given["observations"]:
+                engine.push_observations(epoch)
+        if isinstance(engine, LdvFusionEngine):
+            for velocity in given["ldv"]:
+                engine.push_ldv(velocity)
         for state in given["motion"]:
             engine.push_motion(state)
         for valid in watermarks(engine):
             valid(EVERYTHING)
         return engine
 
-    def empty_engine(self, config: FusionConfig | None = None) -> FusionEngine:
+    def empty_engine(
+        self,
+        config: FusionConfig | None = None,
+        ranges: RangeConfig | None = None,
+        ldv: LdvFusionConfig | None = None,
+    ) -> FusionEngine:
         """Return an engine that knows the orbits only."""
-        engine = FusionEngine(
-            config or FusionConfig(),
-            self.grade,
-            self.sample_rate_hz,
-            self.bench.station(),
-            self.imu_rate_hz,
-        )
+        config = config or FusionConfig()
+        given = config, self.grade, self.sample_rate_hz, self.bench.station(), self.imu_rate_hz
+        engine: FusionEngine
+        if config.coupling == "tight":
+            engine = TightFusionEngine(*given, tight=OCXO, ranges=ranges)
+        elif config.coupling == "ldv":
+            engine = LdvFusionEngine(*given, ldv=ldv)
+        else:
+            engine = FusionEngine(*given)
         for ephemeris in self.ephemerides:
             engine.push_ephemeris(ephemeris)
         return engine
@@ -259,15 +298,18 @@ class Outputs:
         return (aiding.carrier_doppler_hz - true_hz) * -L1_WAVELENGTH
 
 
-def position_of(solver: SppSolver, epoch: Observations, ephemerides: dict[str, Ephemeris]) -> Pvt:
-    """Solve an epoch as the pvt node does."""
+def position_of(
+    solver: SppSolver, epoch: Observations, ephemerides: dict[str, Ephemeris]
+) -> Pvt | None:
+    """Solve an epoch as the pvt node does; None: it has no solution."""
     packed = pack([ephemerides[name] for name in epoch.satellites])
     states = states_from_pseudoranges(packed, epoch.week, epoch.tow_ns, epoch.pseudorange)
     found = solver.solve(
         states, epoch.pseudorange, epoch.carrier_doppler_hz, epoch.cn0_dbhz.astype(np.float64),
         tow=epoch.tow_ns * 1e-9,
     )  # fmt: skip
-    assert found is not None
+    if found is None:
+        return None
     return Pvt(
         epoch.sample_index, epoch.week, epoch.tow_ns, epoch.valid_through, PvtStatus.SINGLE,
         found.position_ecef, found.velocity_ecef, found.clock_bias, found.clock_drift,
@@ -277,7 +319,8 @@ def position_of(solver: SppSolver, epoch: Observations, ephemerides: dict[str, E
 
 def watermarks(engine: FusionEngine) -> list[Any]:
     """Return what tells an engine how far its inputs are complete."""
-    return [engine.source_valid, engine.imu_valid, engine.motion_valid, engine.pvt_valid]
+    found = [engine.source_valid, engine.imu_valid, engine.motion_valid, engine.pvt_valid]
+    return [*found, engine.ldv_valid] if isinstance(engine, LdvFusionEngine) else found
 
 
 def motion(kind: MotionKind, since: int, decided: int) -> MotionState:

@@ -76,11 +76,12 @@ def station_file(tmp_path, extra=""):
     return path
 
 
-def nodes_of(launch_file, config, output):
+def nodes_of(launch_file, config, output, coupling=""):
     description = launch_file.generate_launch_description()
     *arguments, opaque = description.given[0]
-    assert [argument.given[0] for argument in arguments] == ["config", "output"]
-    context = SimpleNamespace(launch_configurations={"config": str(config), "output": str(output)})
+    assert [argument.given[0] for argument in arguments] == ["config", "output", "coupling"]
+    given = {"config": str(config), "output": str(output), "coupling": coupling}
+    context = SimpleNamespace(launch_configurations=given)
     return opaque.named["function"](context)
 
 
@@ -109,6 +110,16 @@ def test_every_process_is_that_of_the_graph(launch_file, tmp_path, extra):
         rules = [word for rule in spec.remaps() for word in ("-r", rule)]
         assert named["arguments"] == (["--ros-args", *rules, "--"] if rules else [])
         assert spec.name in named["on_exit"][0].named["reason"]
+
+
+def test_a_coupling_given_to_the_launch_is_the_fusions(launch_file, tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr("deepseis_bringup.graph.build_graph", lambda c: seen.append(c) or [])
+    config = station_file(tmp_path, "parameters: {fusion: {heading_sd_deg: 0.2}}\n")
+    nodes_of(launch_file, config, tmp_path / "a", "tight")
+    assert seen[-1].parameters["fusion"] == {"heading_sd_deg": 0.2, "coupling": "tight"}
+    with pytest.raises(InputError, match="one of loose, tight, ldv"):
+        nodes_of(launch_file, config, tmp_path / "b", "deep")
 
 
 def test_processes_get_the_same_as_from_the_supervisor(launch_file, tmp_path, monkeypatch):

@@ -9,6 +9,8 @@ from deepseis_bringup.station_config import StationConfig, read_station_config, 
 from deepseis_bringup.web_options import WebOptions
 from deepseis_core.errors import InputError
 from deepseis_frontend.nodes.if_source import SourceConfig
+from deepseis_ins.fusion_config import FusionConfig
+from deepseis_ins.range_config import RangeConfig
 from deepseis_pvt.nodes.pvt import NodeConfig
 from deepseis_pvt.observables import ObservablesConfig
 from deepseis_pvt.pvt_engine import PvtConfig
@@ -21,6 +23,7 @@ SETTINGS = {
     "acquisition": (AcquisitionConfig, RetryConfig),
     "tracker": (TrackingConfig,),
     "pvt": (NodeConfig, PvtConfig, ObservablesConfig),
+    "fusion": (FusionConfig, RangeConfig),
 }
 
 
@@ -161,7 +164,7 @@ def test_kinds_are_those_of_the_graph(tmp_path, recording):
     config = station_config({"source": {"file": str(recording)}}, tmp_path / "x.yaml")
     kinds = {spec.kind for spec in build_graph(config.graph(tmp_path))}
     inertial = {"imu_source", "motion_state", "fusion", "seismic_event"}
-    assert kinds | inertial | {"truth_aiding", "base_source"} == set(KINDS)
+    assert kinds | inertial | {"truth_aiding", "base_source", "ldv_source"} == set(KINDS)
 
 
 def test_the_imu_and_how_it_stands(tmp_path, recording):

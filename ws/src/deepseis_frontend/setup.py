@@ -36,6 +36,7 @@ setup(
     entry_points={
         "console_scripts": [
             "imu_source = deepseis_frontend.nodes.imu_source:main",
+            "ldv_source = deepseis_frontend.nodes.ldv_source:main",
             "base_source = deepseis_frontend.nodes.base_source:main",
             "if_source = deepseis_frontend.nodes.if_source:main",
         ],

@@ -12,15 +12,15 @@ from deepseis_bringup.accept_tight_drive import Drive, Flags, Imu
 from deepseis_core.constants import L1_WAVELENGTH, NS_PER_S
 from deepseis_core.errors import InputError
 from deepseis_core.geodesy import geodetic_from_ecef, rotation_ned_ecef
+from deepseis_core.hatch import HatchConfig, Smoothed, smooth
 from deepseis_core.rotation import matrix_from_quat
+from deepseis_core.selection import ALL, HIGHEST, select
 from deepseis_core.types import FloatArray
 from deepseis_ins.alignment import gyrocompassed, still_mean
 from deepseis_ins.loose import LooseConfig
 from deepseis_ins.measurements import gnss_position
 from deepseis_ins.strapdown import NavState
 from deepseis_ins.tight import Ranges, TightFilter
-from deepseis_pvt.hatch import HatchConfig, Smoothed, smooth
-from deepseis_pvt.selection import ALL, HIGHEST, select
 from deepseis_pvt.spp import SppConfig, SppSolution, SppSolver
 
 MASK_DEG: Final = 10.0

@@ -29,16 +29,16 @@ from deepseis_core.constants import (
     SPEED_OF_LIGHT,
 )
 from deepseis_core.geodesy import ecef_from_geodetic, geodetic_from_ecef, rotation_ned_ecef
+from deepseis_core.hatch import L2_HZ
 from deepseis_core.imu_grades import ImuGrade
 from deepseis_core.types import Ephemeris, FloatArray
 from deepseis_ins.tight import TightConfig
-from deepseis_pvt.hatch import L2_HZ
 
 RIGHT_FORWARD_UP: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """To forward-right-down."""
 
 TCXO: Final = TightConfig(
-    clock_bias_noise=0.1, clock_drift_noise=0.2, false_alarm_probability=1e-3
+    clock_bias_noise=0.1, clock_drift_noise=0.2, range_false_alarm_probability=1e-3
 )
 """Reflections are common: a good range is refused once in a thousand, a bad one at 3.3 sigma."""
 

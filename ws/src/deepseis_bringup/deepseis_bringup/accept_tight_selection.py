@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from deepseis_bringup.accept import Goal, Row
+from deepseis_core import selection
 from deepseis_core.constants import NS_PER_S
 from deepseis_core.ephemeris import pack
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.propagation import line_of_sight
 from deepseis_core.types import FloatArray
-from deepseis_pvt import selection
 from deepseis_sim.scenario import load_scenario
 from deepseis_sim.sky import broadcast_ephemerides
 

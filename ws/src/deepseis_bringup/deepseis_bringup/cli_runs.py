@@ -11,6 +11,14 @@ import typer
 from deepseis_bringup.cli_common import Bag, Out, add_command, bag_of, into_run_folder, say_figures
 from deepseis_bringup.cli_web import WebAddress, WebNames, WebPort, WebToken, web_options
 
+Coupling = Annotated[
+    str,
+    typer.Option(
+        help="What moves the fusion's filter: loose (positions), tight (ranges of single"
+        " satellites), ldv (a velocimeter)."
+    ),
+]
+
 
 def demo(
     output: Out = None,
@@ -54,6 +62,7 @@ def replay(
     without_imu: Annotated[
         bool, typer.Option("--without-imu", help="Leave the IMU aside: loops without aiding.")
     ] = False,
+    coupling: Coupling = "",
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -84,7 +93,7 @@ def replay(
             one_process=not separate,
             record_if=not without_if,
             aiding="" if without_imu else "auto",
-            parameters=parameters_of(settings or ()),
+            parameters=coupled(parameters_of(settings or ()), coupling),
             web=web_options(web, web_address, web_token_file, web_name),
         )
         say_figures(runs.replay(bag_of(bag), folder, options))
@@ -122,6 +131,7 @@ def process(
             " aids the loops."
         ),
     ] = None,
+    coupling: Coupling = "",
     output: Out = None,
     web: WebPort = None,
     web_address: WebAddress = None,
@@ -159,7 +169,7 @@ def process(
         options = runs.RunOptions(
             record_if=False,
             imu_file=str(imu) if imu else "",
-            parameters={"pvt": known, "acquisition": known, **orbits},
+            parameters=coupled({"pvt": known, "acquisition": known, **orbits}, coupling),
             web=web_options(web, web_address, web_token_file, web_name),
         )
         figures = runs.run_recording(selection, folder, options)
@@ -168,6 +178,24 @@ def process(
         )
 
     into_run_folder(output, work)
+
+
+def coupled(parameters: dict[str, dict[str, Any]], coupling: str) -> dict[str, dict[str, Any]]:
+    """Return parameters with a coupling of the fusion; as they are if it is empty.
+
+    Raises
+    ------
+    InputError
+        There is no such coupling.
+    """
+    from deepseis_core.errors import InputError
+    from deepseis_ins.fusion_config import COUPLINGS
+
+    if not coupling:
+        return parameters
+    if coupling not in COUPLINGS:
+        raise InputError(f"--coupling {coupling}", "is none", "one of " + ", ".join(COUPLINGS))
+    return {**parameters, "fusion": {**parameters.get("fusion", {}), "coupling": coupling}}
 
 
 def parameters_of(settings: Iterable[str]) -> dict[str, dict[str, Any]]:

@@ -39,12 +39,18 @@ TYPES: Mapping[str, tuple[str, str]] = {
 }
 """Type and quality of service of every topic that is recorded or played."""
 
+INPUTS_OF_COUPLINGS: Mapping[str, tuple[str, ...]] = {
+    "tight": ("gnss/observations",),
+    "ldv": ("ldv/velocity",),
+}
+"""What the fusion listens to beside what it does in any coupling."""
+
 ONLOOKER = "watch"
 """Flow member that looks on and takes no part."""
 
 KINDS = (
-    *("if_source", "imu_source", "base_source", "acquisition", "tracker", "pvt", "motion_state"),
-    *("fusion", "seismic_event", "truth_aiding", "recorder"),
+    *("if_source", "imu_source", "ldv_source", "base_source", "acquisition", "tracker", "pvt"),
+    *("motion_state", "fusion", "seismic_event", "truth_aiding", "recorder"),
 )
 """Kinds of nodes; overrides of parameters go by kind."""
 
@@ -75,6 +81,12 @@ class GraphConfig:
     output_dir: str = ""
     watched: bool = False
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    @property
+    def coupling(self) -> str:
+        """What moves the fusion's filter; empty without it."""
+        given = self.parameters.get("fusion", {})
+        return str(given.get("coupling", "loose")) if self.aiding == "fusion" else ""
 
 
 @dataclass(frozen=True)
@@ -294,7 +306,10 @@ def _inertial(config: GraphConfig) -> list[NodeSpec]:
             *("aiding/doppler", "ins/solution", "ins/odometry", "seismo/displacement"),
             "/diagnostics",
         ),
-        ("imu/data_raw", "motion/state", "gnss/pvt", "gnss/precise", "gnss/ephemeris"),
+        (
+            *("imu/data_raw", "motion/state", "gnss/pvt", "gnss/precise", "gnss/ephemeris"),
+            *INPUTS_OF_COUPLINGS.get(config.coupling, ()),
+        ),
         "fusion",
         {"satellites": list(config.satellites), "sample_rate_hz": config.sample_rate_hz},
     )
@@ -308,7 +323,21 @@ def _inertial(config: GraphConfig) -> list[NodeSpec]:
         "seismic_event",
         {"sample_rate_hz": config.sample_rate_hz},
     )
-    return [imu_source, motion_state, fusion, events]
+    ldv = [_velocimeter(config)] * (config.coupling == "ldv")
+    return [imu_source, *ldv, motion_state, fusion, events]
+
+
+def _velocimeter(config: GraphConfig) -> NodeSpec:
+    return NodeSpec(
+        "ldv_source",
+        "deepseis_frontend",
+        "ldv_source",
+        "ldv_source",
+        ("ldv/velocity", "/diagnostics"),
+        (),
+        "ldv_source",
+        {"file": config.source["file"]},
+    )
 
 
 def _base(config: GraphConfig) -> NodeSpec:

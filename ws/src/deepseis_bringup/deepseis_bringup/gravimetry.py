@@ -256,6 +256,7 @@ def work_out(
     config: GravimetryConfig,
     installation: LdvInstallation | None,
     *,
+    gnss: bool = True,
     say: Say = _quiet,
 ) -> SurveyResult:
     """Work drives out by all methods that their data allow.
@@ -266,6 +267,8 @@ def work_out(
     config : GravimetryConfig
     installation : LdvInstallation or None
         Of the velocimeter; without, the first drive that has one calibrates it with its GNSS.
+    gnss : bool, optional
+        By GNSS too, where there is any.
     say : callable, optional
         Told what is done.
     """
@@ -281,7 +284,7 @@ def work_out(
         if drive.data.ldv is not None and installation is not None:
             say(f"{drive.data.name}: {LDV}")
             own.append(drive.by_ldv(installation))
-        if drive.data.gnss is not None and drive.data.gnss.fixes.time.size > 1:
+        if gnss and drive.data.gnss is not None and drive.data.gnss.fixes.time.size > 1:
             say(f"{drive.data.name}: {DOPPLER}")
             own += drive.by_gnss()
         for solution in own:

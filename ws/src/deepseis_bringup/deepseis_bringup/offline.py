@@ -290,6 +290,7 @@ def encode(output: Output) -> bytes:
         "gnss/precise": codecs.PRECISE_POSITION,
         "gnss/rtk": codecs.PRECISE_POSITION,
         "base/observations": codecs.OBSERVATIONS,
+        "ldv/velocity": codecs.LDV_VELOCITY,
         "aiding/doppler": codecs.DOPPLER_AIDING,
         "motion/state": codecs.MOTION_STATE,
         "seismo/event": codecs.SEISMIC_EVENT,

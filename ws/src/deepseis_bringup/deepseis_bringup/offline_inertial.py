@@ -11,23 +11,29 @@ from deepseis_core.errors import InputError
 from deepseis_core.imu_grades import grade_named
 from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_core.sample_clock import SampleClock
-from deepseis_core.types import Ephemeris, ImuSample, Pvt, Station
+from deepseis_core.types import Ephemeris, ImuSample, LdvVelocity, Pvt, Station
 from deepseis_frontend.imu_open import open_imu
+from deepseis_frontend.ldv_bag import LdvBag
 from deepseis_ins.event_engine import EventConfig, EventEngine
 from deepseis_ins.fusion_config import FusionConfig
-from deepseis_ins.fusion_engine import FusionEngine
+from deepseis_ins.fusion_modes import make_engine
 from deepseis_ins.fusion_output import FusionOutput
 from deepseis_ins.ground_motion import displacement_utc_ns
+from deepseis_ins.ldv_engine import LdvFusionEngine
+from deepseis_ins.ldv_fusion import LdvFusionConfig
 from deepseis_ins.loose import LooseConfig
 from deepseis_ins.motion_engine import MotionEngine, MotionEngineConfig
 from deepseis_ins.motion_state import MotionConfig
 from deepseis_ins.onset import OnsetConfig
+from deepseis_ins.range_config import RangeConfig
+from deepseis_ins.tight import TightConfig
+from deepseis_ins.tight_engine import TightFusionEngine
 
 Pick = Callable[[type[Any], Mapping[str, Any]], Any]
 
 
 class InertialChain:
-    """IMU, motion state, fusion and events of a graph's description.
+    """IMU, velocimeter, motion state, fusion and events of a graph's description.
 
     Parameters
     ----------
@@ -63,13 +69,16 @@ class InertialChain:
             rate,
             clock.sample_rate_hz,
         )
-        self.fusion = FusionEngine(
+        self.fusion = make_engine(
             pick(FusionConfig, known),
             grade,
             clock.sample_rate_hz,
             _station(known),
             rate,
             loose=pick(LooseConfig, known),
+            tight=pick(TightConfig, known),
+            ranges=pick(RangeConfig, known),
+            ldv=pick(LdvFusionConfig, known),
         )
         events = given.get("seismic_event", {})
         self.events = EventEngine(
@@ -79,8 +88,15 @@ class InertialChain:
             np.array(known["monument_ecef"]),
         )
         if known.get("nav_file"):
-            for ephemeris in read_rinex_nav(known["nav_file"]).ephemerides:
+            navigation = read_rinex_nav(known["nav_file"])
+            for ephemeris in navigation.ephemerides:
                 self.fusion.push_ephemeris(ephemeris)
+            if isinstance(self.fusion, TightFusionEngine) and navigation.iono_alpha:
+                self.fusion.push_klobuchar(navigation.iono_alpha, navigation.iono_beta)
+        self._velocities: Iterator[LdvVelocity] = iter(())
+        if isinstance(self.fusion, LdvFusionEngine):
+            self._velocities = LdvBag(file).measurements()
+        self._next_velocity = next(self._velocities, None)
 
     def push_pvt(self, pvt: Pvt) -> None:
         """Take a position."""
@@ -92,6 +108,8 @@ class InertialChain:
             self.push_pvt(value)
         elif topic == "gnss/precise":
             self.fusion.push_precise(value)
+        elif topic == "gnss/observations" and isinstance(self.fusion, TightFusionEngine):
+            self.fusion.push_observations(value)
 
     def push_ephemeris(self, ephemeris: Ephemeris) -> None:
         """Take an orbit that was decoded."""
@@ -108,6 +126,7 @@ class InertialChain:
             self.motion.push(sample)
             self.fusion.push_imu(sample)
             yield "imu/data_raw", sample, self.clock.utc_ns(sample.sample_index)
+        yield from self._played(through)
         for valid, states in self.motion.advance(through + 1):
             for state in states:
                 self.fusion.push_motion(state)
@@ -117,6 +136,16 @@ class InertialChain:
         self.fusion.imu_valid(through + 1)
         while (output := self.fusion.advance()) is not None:
             yield from self._said(output)
+
+    def _played(self, through: int) -> Iterator[tuple[str, Any, int]]:
+        """Play the velocimeter through a sample."""
+        while self._next_velocity is not None and self._next_velocity.valid_through <= through + 1:
+            value, self._next_velocity = self._next_velocity, next(self._velocities, None)
+            assert isinstance(self.fusion, LdvFusionEngine)
+            self.fusion.push_ldv(value)
+            yield "ldv/velocity", value, self.clock.utc_ns(value.sample_index)
+        if isinstance(self.fusion, LdvFusionEngine):
+            self.fusion.ldv_valid(through)
 
     def _said(self, output: FusionOutput) -> Iterator[tuple[str, Any, int]]:
         aiding, solution = output.aiding, output.solution

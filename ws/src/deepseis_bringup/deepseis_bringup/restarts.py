@@ -8,7 +8,7 @@ from enum import Enum
 from time import monotonic
 from typing import Final
 
-NEVER: Final = frozenset({"if_source", "base_source", "recorder"})
+NEVER: Final = frozenset({"if_source", "base_source", "ldv_source", "recorder"})
 """Nodes without which there is no run, or that cannot join one: their death ends it."""
 
 

@@ -28,6 +28,11 @@ def generate_launch_description():
             DeclareLaunchArgument(
                 "output", default_value=str(folder), description="Run folder, made new."
             ),
+            DeclareLaunchArgument(
+                "coupling",
+                default_value="",
+                description="Of the fusion: loose, tight or ldv; empty: as configured.",
+            ),
             OpaqueFunction(function=station_nodes),
         ]
     )
@@ -35,6 +40,9 @@ def generate_launch_description():
 
 def station_nodes(context):
     """Return one action for each process of the graph."""
+    from dataclasses import replace
+
+    from deepseis_bringup.cli_runs import coupled
     from deepseis_bringup.graph import build_graph
     from deepseis_bringup.live_page import page_spec
     from deepseis_bringup.runs import new_run_folder
@@ -42,6 +50,8 @@ def station_nodes(context):
     from deepseis_bringup.supervisor import parameter_file
 
     config = read_station_config(LaunchConfiguration("config").perform(context))
+    coupling = LaunchConfiguration("coupling").perform(context)
+    config = replace(config, parameters=coupled(config.parameters, coupling))
     folder = new_run_folder(Path(LaunchConfiguration("output").perform(context))).resolve()
     specs = build_graph(config.graph(folder))
     (folder / "parameters").mkdir(parents=True)

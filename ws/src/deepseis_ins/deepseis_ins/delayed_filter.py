@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, insort
 from collections.abc import Sequence
-from typing import Final, TypeVar
+from typing import Any, Final
 
 import numpy as np
 
@@ -47,8 +47,6 @@ from deepseis_ins.loose import LooseFilter
 from deepseis_ins.motion_timeline import MotionTimeline
 from deepseis_ins.oscillator_terms import OscillatorTerms
 from deepseis_ins.strapdown import NavState, Trajectory
-
-Taken = TypeVar("Taken", Pvt, PreciseEpoch)
 
 SAME_MOMENT_S: Final = 1e-9
 FIRST_INTERVAL_S: Final = 0.1
@@ -78,6 +76,9 @@ class DelayedFilter:
         Row of increments at whose end the filter stands.
     """
 
+    holds_angle = True
+    """Whether zero turn is a constraint at rest."""
+
     def __init__(
         self,
         config: FusionConfig,
@@ -100,7 +101,7 @@ class DelayedFilter:
         self.gnss = GnssUpdates(config, filter, history, lever_arm_b, sample_rate_hz)
         self._counts = dict.fromkeys(("constraints", "undone", "too_old"), 0)
         self._interval = sample_rate_hz / config.filter_rate_hz
-        self._kept = round(config.undo_s * sample_rate_hz)
+        self._undoable = round(config.undo_s * sample_rate_hz)
         self._pvts: list[Pvt] = []
         self._precise: list[PreciseEpoch] = []
         self.smoother: FusionSmoother | None = None
@@ -167,7 +168,7 @@ class DelayedFilter:
         """Take a precise position that counts from now on."""
         self._push(self._precise, epoch, PRECISE)
 
-    def _push(self, epochs: list[Taken], epoch: Taken, kind: int) -> None:
+    def _push(self, epochs: list[Any], epoch: Any, kind: int) -> None:
         first = self._steps[0]
         if (epoch.sample_index, kind) <= (first.sample_index, first.kind):
             self._counts["too_old"] += 1
@@ -191,6 +192,7 @@ class DelayedFilter:
         self.filter.restore(step.filter)
         self.row, self.rest = step.row, step.rest
         self.offsets, self.place_n = step.offsets, step.place_n
+        self._put_back(step.more)
         if self.oscillator is not None and step.oscillator is not None:
             self.oscillator.state = step.oscillator
 
@@ -202,7 +204,8 @@ class DelayedFilter:
             first = self.row + 1
             self._carry(self.history.number_at(sample))
             still = self._settle(sample)
-            if epoch is not None and self.oscillator is not None:
+            self._beside_gnss(still=still)
+            if self.oscillator is not None and isinstance(epoch, Pvt | PreciseEpoch):
                 self.oscillator.take(epoch, self.history, still=still)
             if epoch is not None:
                 update = self._measured(epoch, still=still)
@@ -214,21 +217,32 @@ class DelayedFilter:
         self._forget(horizon)
         return updates
 
-    def _next(self, horizon: int) -> tuple[int, int, Epoch | None] | None:
+    def _next(self, horizon: int) -> tuple[int, int, Any] | None:
         """Return sample and kind of the next step, and its epoch of GNSS."""
         done = self.done
         number = int(done[0] / self._interval)
         while (regular := round(number * self._interval)) <= done[0]:
             number += 1
         key, found = (regular, REGULAR), None
-        waiting: tuple[tuple[int, Sequence[Epoch]], ...]
-        waiting = (PRECISE, self._precise), (POSITION, self._pvts)
-        for kind, epochs in waiting:
+        for kind, epochs in self._waiting():
             first = done[0] + (kind <= done[1])
             at = bisect_left(epochs, first, key=_sample_index)
             if at < len(epochs) and (epochs[at].sample_index, kind) < key:
                 key, found = (epochs[at].sample_index, kind), epochs[at]
         return (*key, found) if key[0] <= horizon else None
+
+    def _waiting(self) -> Sequence[tuple[int, list[Any]]]:
+        """Return kinds of epochs, and those that have been pushed."""
+        return (PRECISE, self._precise), (POSITION, self._pvts)
+
+    def _beside_gnss(self, *, still: bool) -> None:
+        """Work in what a mode has beside GNSS and constraints; here nothing."""
+
+    def _kept(self) -> Any:
+        """Return what a mode has to keep of a step; here nothing."""
+
+    def _put_back(self, kept: Any) -> None:
+        """Be again what was kept."""
 
     def _carry(self, row: int) -> None:
         """Propagate to the end of a row."""
@@ -262,26 +276,34 @@ class DelayedFilter:
 
     def _settle(self, sample_index: int) -> bool:
         """Begin or end a rest where it begins or ends; return whether the station is at rest."""
-        still = self.timeline.is_still(sample_index)
+        still = self._is_still(sample_index)
         if still and self.rest is None:
             if self.place_n is None:
                 self.place_n = np.zeros((3, 3))
             else:
                 self.place_n = self.beside() + self.filter.P[POS, POS]
             self.offsets = self.offsets.followed_none()
-            self.rest = Rest(self.antenna_ecef(), self.filter.refer_attitude())
+            self.rest = Rest(self.antenna_ecef(), self._refer())
         elif not still:
             self.rest = None
         return still
+
+    def _is_still(self, sample_index: int) -> bool:
+        return self.timeline.is_still(sample_index)
+
+    def _refer(self) -> FloatArray:
+        """Return the attitude that a rest begins with; zero turn refers to it."""
+        return self.filter.refer_attitude()
 
     def _constrain(self) -> None:
         assert self.rest is not None
         config, rest, nav = self.config, self.rest, self.filter.nav
         place = config.still_position_sd**2 * np.eye(3)
-        angle_sd = np.radians(config.still_angle_sd_deg)
         update = self.gnss.update
         update(measurements.zero_velocity(nav, config.still_velocity_sd))
-        update(measurements.zero_angle(self.filter.nav, rest.C_nb, angle_sd))
+        if self.holds_angle:
+            angle_sd = np.radians(config.still_angle_sd_deg)
+            update(measurements.zero_angle(self.filter.nav, rest.C_nb, angle_sd))
         update(
             measurements.gnss_position(self.filter.nav, rest.antenna_ecef, place, self.lever_arm_b)
         )
@@ -307,7 +329,7 @@ class DelayedFilter:
         self.offsets = used.offsets
         return used.update
 
-    def _interval_before(self, epochs: Sequence[Epoch], epoch: Epoch) -> float:
+    def _interval_before(self, epochs: Sequence[Any], epoch: Any) -> float:
         """Return the time since the epoch of its kind before one [s]."""
         before = bisect_left(epochs, epoch.sample_index, key=_sample_index)
         if not before:
@@ -324,20 +346,20 @@ class DelayedFilter:
             self.offsets,
             self.place_n,
             self.oscillator.state if self.oscillator is not None else None,
+            self._kept(),
         )
 
     def _forget(self, horizon: int) -> None:
         """Drop what is too old to be undone."""
-        oldest = horizon - self._kept
+        oldest = horizon - self._undoable
         while len(self._steps) > 1 and self._steps[1].sample_index < oldest:
             del self._steps[0]
         first = self._steps[0].sample_index
-        lists: tuple[list[Pvt] | list[PreciseEpoch], ...] = self._pvts, self._precise
-        for epochs in lists:
+        for _, epochs in self._waiting():
             old = bisect_left(epochs, first, key=_sample_index) - 1
             if old > 0:
                 del epochs[:old]
 
 
-def _sample_index(item: Epoch) -> int:
-    return item.sample_index
+def _sample_index(item: Any) -> int:
+    return int(item.sample_index)

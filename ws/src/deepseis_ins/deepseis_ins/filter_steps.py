@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,7 @@ class Rest:
     C_nb: FloatArray
 
 
-REGULAR, PRECISE, POSITION = range(3)
+REGULAR, PRECISE, POSITION, RANGES = range(4)
 """Kinds of steps, in their order at the same sample."""
 
 
@@ -50,6 +51,8 @@ class Step:
     offsets: GnssOffsets
     place_n: FloatArray | None
     oscillator: OscillatorState | None
+    more: Any = None
+    """What a mode keeps beside that."""
 
 
 @dataclass(frozen=True)

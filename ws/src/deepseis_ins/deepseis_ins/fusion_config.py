@@ -16,11 +16,16 @@ from dataclasses import dataclass
 from deepseis_core.config import check, setting
 from deepseis_core.errors import InputError
 
+COUPLINGS = ("loose", "tight", "ldv")
+
 
 @dataclass(frozen=True)
 class FusionConfig:
     """Settings of `fusion_engine.FusionEngine`."""
 
+    coupling: str = setting(
+        "loose", "what moves the filter: positions, ranges, a velocimeter [-]", choices=COUPLINGS
+    )
     start_s: float = setting(0.0, "where in the recording the source starts [s]", low=0)
     feedback_delay_ms: int = setting(
         100, "D: what is measured at t acts at t + D [ms]", low=60, high=2_000

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -245,7 +246,9 @@ class FusionEngine(FusionInputs):
             return
         still = still_mean(*history.increments(*rows), history.dt)
         try:
-            filter, corrected = start_filter(self.config, self.loose, self.grade, self.site, still)
+            filter, corrected = start_filter(
+                self.config, self.loose, self.grade, self.site, still, self._make_filter
+            )
         except InputError as error:
             self.trouble = str(error)
             return
@@ -259,14 +262,24 @@ class FusionEngine(FusionInputs):
         if pvt is None or not has_velocity(pvt) or not history.is_whole(row, row + 1):
             return
         rate_b = history.increments(row, row + 1)[0][0] / history.dt
-        filter = start_moving(self.config, self.loose, self.grade, self.site, pvt, rate_b)
+        filter = start_moving(
+            self.config, self.loose, self.grade, self.site, pvt, rate_b, self._make_filter
+        )
         self._begin(filter, row)
 
     def _begin(self, filter: LooseFilter, row: int) -> None:
         self.trouble = ""
         self._counts["starts"] += 1
         self.ground.origin_enu = self.writer.enu(filter.nav)
-        self.delayed = DelayedFilter(
+        self.delayed = self._make_delayed(filter, row)
+
+    def _make_filter(self, *arguments: Any, **keywords: Any) -> LooseFilter:
+        """Make the filter of this mode from a loose one's arguments."""
+        return LooseFilter(*arguments, **keywords)
+
+    def _make_delayed(self, filter: LooseFilter, row: int) -> DelayedFilter:
+        """Put a filter behind the present."""
+        return DelayedFilter(
             self.config, filter, row, self.history, self.timeline, self.site.lever_arm_b,
             self.sample_rate_hz, self.oscillator,
         )  # fmt: skip

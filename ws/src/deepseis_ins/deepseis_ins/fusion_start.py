@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,9 @@ from deepseis_ins.alignment import Alignment, Still, gyro_bias, gyrocompassed, l
 from deepseis_ins.fusion_config import FusionConfig
 from deepseis_ins.loose import LooseConfig, LooseFilter
 from deepseis_ins.strapdown import NavState
+
+FilterMaker = Callable[..., LooseFilter]
+"""Makes a filter: `LooseFilter`, or one that takes the same arguments."""
 
 _DISAGREEMENT = 5.0
 """Times sigma: a surveyed orientation so far from the vertical is not believed."""
@@ -131,13 +135,14 @@ def start_filter(
     grade: ImuGrade,
     site: Site,
     still: Still,
+    make: FilterMaker = LooseFilter,
 ) -> tuple[LooseFilter, bool]:
     """Make the filter of a station that has stood still; see `align`."""
     alignment, corrected = align(config, grade, site, still)
     latitude, longitude, height = (float(v) for v in site.imu_geodetic(alignment.C_nb))
     bias = gyro_bias(still, alignment, latitude, grade)
     nav = NavState(latitude, longitude, height, np.zeros(3), alignment.quat_nb)
-    filter = LooseFilter(
+    filter = make(
         loose,
         grade,
         nav,
@@ -159,6 +164,7 @@ def start_moving(
     site: Site,
     pvt: Pvt,
     rate_b: FloatArray,
+    make: FilterMaker = LooseFilter,
 ) -> LooseFilter:
     """Make the filter of a surveyed station that may be moving.
 
@@ -177,6 +183,8 @@ def start_moving(
         Epoch at which the filter starts; it must have a velocity.
     rate_b : ndarray, shape (3,)
         Rate of turn measured then, forward-right-down [rad/s].
+    make : callable, optional
+        Makes the filter.
 
     Raises
     ------
@@ -191,7 +199,7 @@ def start_moving(
     velocity = C_ne @ np.asarray(pvt.velocity_ecef) - lever
     formal = np.sqrt(np.diag(np.reshape(pvt.velocity_covariance_ecef, (3, 3))).max())
     nav = NavState(latitude, longitude, height, velocity, quat_from_matrix(site.C_nb))
-    return LooseFilter(
+    return make(
         loose,
         grade,
         nav,

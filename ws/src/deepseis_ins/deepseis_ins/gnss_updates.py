@@ -65,7 +65,7 @@ class GnssUpdates:
     ) -> None:
         self.config, self.filter, self.history = config, filter, history
         self.lever_arm_b, self.sample_rate_hz = lever_arm_b, sample_rate_hz
-        self._hold = round(config.precise_hold_s * sample_rate_hz)
+        self.hold = round(config.precise_hold_s * sample_rate_hz)
         self.counts = dict.fromkeys(
             ("updates", "precise", "precise_jumps", "rejected", "recovered"), 0
         )
@@ -107,7 +107,7 @@ class GnssUpdates:
 
     def use(self, offsets: GnssOffsets, pvt: Pvt, row: int, dt: float) -> Used:
         """Use a position of PVT, unless there are precise ones."""
-        if offsets.kind and pvt.sample_index - offsets.used_at <= self._hold:
+        if offsets.kind and pvt.sample_index - offsets.used_at <= self.hold:
             return Used(None, offsets)
         seconds = pvt.sample_index / self.sample_rate_hz
         moved, gained = self._change_after(row, pvt.sample_index)

@@ -312,6 +312,10 @@ class LooseFilter:
         error, self._reference_error = self._reference_error, np.zeros(3)
         return error, self._B[REFERENCE, REFERENCE].copy()
 
+    def constants_sd(self) -> FloatArray:
+        """Return the standard deviations of these constants, shape (3,)."""
+        return np.sqrt(np.diag(self._B)[REFERENCE])
+
     # Smoothing
 
     def take_steps(self) -> list[FilterStep]:

@@ -67,7 +67,7 @@ class TightConfig:
     )
     clock_bias_sd: float = setting(300.0, "of the clock after the first epoch [m]", low=1.0)
     clock_drift_sd: float = setting(30.0, "of its drift after the first epoch [m/s]", low=0.1)
-    false_alarm_probability: float = setting(
+    range_false_alarm_probability: float = setting(
         1e-4, "of a good range or range rate to be rejected [-]", low=0.0, high=0.1
     )
     epochs_before_recovery: int = setting(
@@ -179,7 +179,7 @@ class TightFilter(LooseFilter):
         B = np.zeros((CONSTANTS + 2, CONSTANTS + 2))
         B[:CONSTANTS, :CONSTANTS] = self._B
         self._B = B
-        probability = self.tight.false_alarm_probability
+        probability = self.tight.range_false_alarm_probability
         self._range_limit = chi_square_limit(1, probability) if probability > 0.0 else np.inf
 
     @property
@@ -223,14 +223,9 @@ class TightFilter(LooseFilter):
         InputError
             Shapes differ, or a sigma is not positive.
         """
-        variance, air = self._checked(ranges), self._air(ranges)
         self._complete()
         n = len(ranges.pseudorange)
-        z, H, R = np.empty(2 * n), np.empty((2 * n, kernels.TIGHT_STATES)), np.empty(2 * n)
-        kernels.rows_kernel(
-            self._x, self.omega_ib_b, self.lever_arm_b, self._rate_sd(), self._clock,
-            ranges.satellites, ranges.pseudorange, ranges.range_rate, variance, air, z, H, R,
-        )  # fmt: skip
+        z, H, R = self._rows(ranges)
         z = self._set_clock(z, n)
         if not self._started:
             nothing = np.full(2 * n, np.nan)
@@ -255,6 +250,25 @@ class TightFilter(LooseFilter):
             if self._tape is not None:
                 self._tape.measure(before, x, J)
         return innovations
+
+    def residuals(self, ranges: Ranges) -> FloatArray:
+        """Return prediction minus measurement of ranges and range rates, shape (2 n,).
+
+        The clock is this filter's, or none before it has started; nothing changes.
+        """
+        return self._rows(ranges)[0]
+
+    def _rows(self, ranges: Ranges) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return innovations, sensitivities and variances of an epoch."""
+        variance, air = self._checked(ranges), self._air(ranges)
+        n = len(ranges.pseudorange)
+        z, H, R = np.empty(2 * n), np.empty((2 * n, kernels.TIGHT_STATES)), np.empty(2 * n)
+        clock = self._clock + np.array([self._clock[1] * self._clock_age, 0.0])
+        kernels.rows_kernel(
+            self._x, self.omega_ib_b, self.lever_arm_b, self._rate_sd(), clock,
+            ranges.satellites, ranges.pseudorange, ranges.range_rate, variance, air, z, H, R,
+        )  # fmt: skip
+        return z, H, R
 
     def _tried(
         self,

@@ -63,7 +63,7 @@ class Flow:
         self._subscriptions: list[Any] = []
         self._followers: list[tuple[str, Callable[[Watermark], None]]] = []
         self._last: tuple[int, int, int] = (-1, -1, 0)
-        self._other_counts = (0, 0)
+        self._other_counts = (0, 0, 0)
         self._pending: Watermark | None = None
         self._newest: Watermark | None = None
         self._said_at = 0.0
@@ -167,6 +167,7 @@ class Flow:
         event_count: int | None = None,
         ephemeris_count: int = 0,
         precise_count: int = 0,
+        observation_count: int = 0,
         end_of_stream: bool = False,
         utc_ns: int = 0,
     ) -> None:
@@ -178,12 +179,12 @@ class Flow:
             return
         count = self._last[2] if event_count is None else event_count
         self._last = (valid_through, consumed_through, count)
-        self._other_counts = (ephemeris_count, precise_count)
+        self._other_counts = (ephemeris_count, precise_count, observation_count)
         msg = Watermark(node=self.name, ready=self.ready, end_of_stream=end_of_stream)
         msg.header.stamp = stamp_from_ns(utc_ns)
         msg.valid_through, msg.consumed_through = valid_through, consumed_through
         msg.event_count, msg.ephemeris_count = count, ephemeris_count
-        msg.precise_count = precise_count
+        msg.precise_count, msg.observation_count = precise_count, observation_count
         msg.shared_count = self.shared_count
         self._pending = msg
         held_ns = utc_ns - self._announced_ns
@@ -212,11 +213,12 @@ class Flow:
                 publisher.wait_for_all_acked(Duration(nanoseconds=round(left * 1e9)))
         self.ended = True
         # Readers go on waiting for all that was counted: fewer would say that it is another node.
-        ephemerides, precise = self._other_counts
+        ephemerides, precise, observations = self._other_counts
         self.send(
             *self._last[:2],
             ephemeris_count=ephemerides,
             precise_count=precise,
+            observation_count=observations,
             end_of_stream=True,
         )
 

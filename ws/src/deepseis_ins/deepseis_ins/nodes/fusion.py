@@ -28,12 +28,25 @@ from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.ros.realtime import RealtimeReport
 from deepseis_core.ros.steady import every
 from deepseis_core.sample_clock import SampleClock
-from deepseis_core.types import Ephemeris, MotionState, PrecisePosition, Pvt, Station
+from deepseis_core.types import (
+    Ephemeris,
+    LdvVelocity,
+    MotionState,
+    Observations,
+    PrecisePosition,
+    Pvt,
+    Station,
+)
 from deepseis_ins.fusion_config import FusionConfig
-from deepseis_ins.fusion_engine import FusionEngine
+from deepseis_ins.fusion_modes import make_engine
 from deepseis_ins.fusion_output import FusionOutput, FusionStatus
 from deepseis_ins.ground_motion import displacement_utc_ns
+from deepseis_ins.ldv_engine import LdvFusionEngine
+from deepseis_ins.ldv_fusion import LdvFusionConfig
 from deepseis_ins.loose import LooseConfig
+from deepseis_ins.range_config import RangeConfig
+from deepseis_ins.tight import TightConfig
+from deepseis_ins.tight_engine import TightFusionEngine
 from deepseis_msgs.msg import Displacement, DopplerAiding, InsSolution, Watermark
 
 FOLLOWED = ("if_source", "imu_source", "motion_state", "pvt")
@@ -64,6 +77,8 @@ class NodeConfig:
 class FusionNode(Node):
     """In: imu/data_raw, motion/state, gnss/pvt, gnss/precise, gnss/ephemeris.
 
+    Coupling tight: gnss/observations too; coupling ldv: ldv/velocity.
+
     Out: aiding/doppler, ins/solution, ins/odometry, seismo/displacement.
     """
 
@@ -72,15 +87,20 @@ class FusionNode(Node):
         self.flow = Flow(self, process, "fusion", declare(self, FlowConfig))
         self.config = declare(self, NodeConfig)
         fusion, loose = declare(self, FusionConfig), declare(self, LooseConfig)
+        tight, ranges = declare(self, TightConfig), declare(self, RangeConfig)
+        ldv = declare(self, LdvFusionConfig)
         reject_unknown(self)
         config = self.config
-        self.engine = FusionEngine(
+        self.engine = make_engine(
             fusion,
             grade_named(config.imu_grade),
             config.sample_rate_hz,
             self.station(),
             config.imu_rate_hz,
             loose=loose,
+            tight=tight,
+            ranges=ranges,
+            ldv=ldv,
         )
         self.load_navigation()
         self.clock = SampleClock(config.start_utc_ns, config.sample_rate_hz)
@@ -91,8 +111,10 @@ class FusionNode(Node):
         self.motion = publish_on("seismo/displacement", Displacement, qos.STREAM)
         self.diagnostics = publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
         counting = not self.flow.rejoins
-        self.inputs = {name: CountedInput(counting=counting) for name in FOLLOWED}
+        followed = FOLLOWED + ("ldv_source",) * isinstance(self.engine, LdvFusionEngine)
+        self.inputs = {name: CountedInput(counting=counting) for name in followed}
         self.orbits, self.precise = (CountedInput(counting=counting) for _ in range(2))
+        self.epochs: CountedInput | None = None
         self.motions = 0
         self.second, self.looked = -1, 0.0
         self.due: deque[tuple[int, float]] = deque()
@@ -102,7 +124,13 @@ class FusionNode(Node):
         subscribe(self, codecs.PVT, "gnss/pvt", self.on_pvt, qos.STREAM)
         subscribe(self, codecs.PRECISE_POSITION, "gnss/precise", self.on_precise, qos.STREAM)
         subscribe(self, codecs.EPHEMERIS, "gnss/ephemeris", self.on_ephemeris, qos.LATCHED)
-        self.flow.follow(FOLLOWED, self.on_watermark)
+        if isinstance(self.engine, TightFusionEngine):
+            self.epochs = CountedInput(counting=counting)
+            observed = codecs.OBSERVATIONS, "gnss/observations", self.on_observations
+            subscribe(self, *observed, qos.STREAM)
+        if isinstance(self.engine, LdvFusionEngine):
+            subscribe(self, codecs.LDV_VELOCITY, "ldv/velocity", self.on_ldv, qos.STREAM)
+        self.flow.follow(followed, self.on_watermark)
         self.arrivals = Arrivals()
         self.realtime: RealtimeReport | None = None
         if not self.flow.lockstep:
@@ -125,9 +153,13 @@ class FusionNode(Node):
 
     def load_navigation(self) -> None:
         """Preload orbits."""
-        if self.config.nav_file:
-            for ephemeris in read_rinex_nav(self.config.nav_file).ephemerides:
-                self.engine.push_ephemeris(ephemeris)
+        if not self.config.nav_file:
+            return
+        file = read_rinex_nav(self.config.nav_file)
+        for ephemeris in file.ephemerides:
+            self.engine.push_ephemeris(ephemeris)
+        if isinstance(self.engine, TightFusionEngine) and file.iono_alpha:
+            self.engine.push_klobuchar(file.iono_alpha, file.iono_beta)
 
     def on_imu(self, data: bytes) -> None:
         """Take an IMU sample."""
@@ -155,6 +187,21 @@ class FusionNode(Node):
         self.precise.received()
         self.work()
 
+    def on_observations(self, observations: Observations, _utc_ns: int) -> None:
+        """Take an epoch of ranges."""
+        assert isinstance(self.engine, TightFusionEngine)
+        assert self.epochs is not None
+        self.engine.push_observations(observations)
+        self.epochs.received()
+        self.work()
+
+    def on_ldv(self, value: LdvVelocity, _utc_ns: int) -> None:
+        """Take a measurement of the velocimeter."""
+        assert isinstance(self.engine, LdvFusionEngine)
+        self.engine.push_ldv(value)
+        self.inputs["ldv_source"].received()
+        self.work()
+
     def on_ephemeris(self, ephemeris: Ephemeris, _utc_ns: int) -> None:
         """Take an orbit."""
         self.engine.push_ephemeris(ephemeris)
@@ -173,6 +220,8 @@ class FusionNode(Node):
         if msg.node == "pvt":
             self.orbits.announced(msg.ephemeris_count, msg.valid_through)
             self.precise.announced(msg.precise_count, msg.valid_through)
+            if self.epochs is not None:
+                self.epochs.announced(msg.observation_count, msg.valid_through)
         self.work()
 
     def on_deadline(self) -> None:
@@ -200,7 +249,10 @@ class FusionNode(Node):
         engine.source_valid(inputs["if_source"].valid_through)
         engine.imu_valid(inputs["imu_source"].valid_through + 1)
         engine.motion_valid(inputs["motion_state"].valid_through)
-        told = inputs["pvt"], self.orbits, self.precise
+        told = [inputs["pvt"], self.orbits, self.precise]
+        told += [self.epochs] if self.epochs is not None else []
+        if isinstance(engine, LdvFusionEngine):
+            engine.ldv_valid(inputs["ldv_source"].valid_through)
         engine.pvt_valid(min(item.valid_through for item in told))
         while (output := engine.advance(self.is_overdue())) is not None:
             self.publish(output)
@@ -253,6 +305,8 @@ class FusionNode(Node):
             values: dict[str, object] = dict(self.engine.statistics)
             if self.engine.oscillator is not None:
                 values |= self.engine.oscillator.report()
+            if isinstance(self.engine, LdvFusionEngine):
+                values |= self.engine.report()
             utc_ns = self.clock.utc_ns(through)
             self.diagnostics.publish(
                 diagnostics.encoded("fusion", level, str(output.status), values, utc_ns)

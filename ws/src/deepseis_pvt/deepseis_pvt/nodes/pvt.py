@@ -109,7 +109,7 @@ class PvtNode(Node):
         self.members = [*config.trackers, *followed]
         self.load_navigation()
         self.clock: SampleClock | None = None
-        self.positions = self.ephemerides = self.precise_positions = 0
+        self.positions = self.ephemerides = self.precise_positions = self.epochs = 0
         self.second, self.progressed, self.looked = -1, time.monotonic(), 0.0
         publish_on = self.flow.publish_on
         self.observations = publish_on("gnss/observations", Observations, qos.STREAM)
@@ -230,12 +230,14 @@ class PvtNode(Node):
             event_count=self.positions,
             ephemeris_count=self.ephemerides,
             precise_count=self.precise_positions,
+            observation_count=self.epochs,
             utc_ns=self.clock.utc_ns(worked),
         )
 
     def publish(self, observations: ObservationsValue, pvt: PvtValue | None) -> None:
         """Publish one epoch."""
         utc_ns = GpsTime(observations.week, observations.tow_ns).to_utc_ns()
+        self.epochs += 1
         self.observations.publish(codecs.OBSERVATIONS.encode(observations, utc_ns))
         if pvt is not None:
             self.positions += 1

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from deepseis_core import selection
 from deepseis_core.constants import NS_PER_S
 from deepseis_core.ephemeris import pack
 from deepseis_core.errors import InputError
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.propagation import line_of_sight
-from deepseis_pvt import selection
-from deepseis_pvt.selection import select
+from deepseis_core.selection import select
 from deepseis_sim.sky import broadcast_ephemerides
 
 

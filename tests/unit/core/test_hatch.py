@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from deepseis_core import hatch
 from deepseis_core.constants import L1_HZ, L1_WAVELENGTH
 from deepseis_core.errors import InputError
+from deepseis_core.hatch import HatchConfig, HatchFilter, smooth
 from deepseis_core.types import Lli, Observations
-from deepseis_pvt import hatch
-from deepseis_pvt.hatch import HatchConfig, HatchFilter, smooth
 
 
 def arcs(epochs, satellites, seed=1, noise=0.3):
