@@ -8,6 +8,7 @@ import typer
 
 from deepseis_bringup import (
     cli_accept,
+    cli_align,
     cli_bags,
     cli_convert,
     cli_gravimetry,
@@ -93,6 +94,7 @@ for commands in (
     cli_sim,
     cli_theory,
     cli_gravimetry,
+    cli_align,
     cli_accept,
 ):
     commands.register(app)

@@ -132,6 +132,18 @@ def process(
         ),
     ] = None,
     coupling: Coupling = "",
+    for_align: Annotated[
+        bool,
+        typer.Option(
+            "--for-align", help="Positions without the loops' lag, for `align`; needs --position."
+        ),
+    ] = False,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", help="Parameter of a node: tracker.pll_bandwidth_hz=20; repeatable."
+        ),
+    ] = None,
     output: Out = None,
     web: WebPort = None,
     web_address: WebAddress = None,
@@ -165,11 +177,17 @@ def process(
         selection = runs.Selection(
             str(if_file), format, rate, intermediate_frequency, start_utc, length_s=length
         )
-        orbits = {"fusion": {"nav_file": known["nav_file"]}} if imu and nav else {}
+        given: dict[str, dict[str, Any]] = {"pvt": dict(known), "acquisition": dict(known)}
+        if imu and nav:
+            given["fusion"] = {"nav_file": known["nav_file"]}
+        if for_align:
+            given["pvt"] |= {"add_discriminator": True, "loop_bandwidth_hz": 25.0}
+        for kind, values in parameters_of(settings or ()).items():
+            given[kind] = {**given.get(kind, {}), **values}
         options = runs.RunOptions(
             record_if=False,
             imu_file=str(imu) if imu else "",
-            parameters=coupled({"pvt": known, "acquisition": known, **orbits}, coupling),
+            parameters=coupled(given, coupling),
             web=web_options(web, web_address, web_token_file, web_name),
         )
         figures = runs.run_recording(selection, folder, options)

@@ -18,6 +18,7 @@ from deepseis_frontend.if_stream import IfSource
 from deepseis_frontend.imu_bag import TOPIC
 from deepseis_frontend.imu_file import ImuFile, Installation
 from deepseis_frontend.imu_open import is_bag, open_imu
+from deepseis_frontend.imu_rosbag import ImuRosbag
 from deepseis_frontend.nodes.station_bag import LOOKED_AT, read_station
 
 
@@ -61,7 +62,7 @@ def inertial_parameters(
     clock = _clock(source)
     imu = open_imu(path, clock)
     stands = given
-    if stands is None and isinstance(imu, ImuFile):
+    if stands is None and isinstance(imu, ImuFile | ImuRosbag):
         stands = imu.format.installation
     stands = stands or _described(path)
     if not stands.grade:

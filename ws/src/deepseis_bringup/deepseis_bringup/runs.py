@@ -32,6 +32,7 @@ from deepseis_core.errors import InputError
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.sample_clock import utc_ns_from_iso
 from deepseis_frontend.if_open import open_source
+from deepseis_frontend.if_soapy import is_live
 from deepseis_frontend.if_stream import IfSource
 from deepseis_frontend.imu_file import Installation
 from deepseis_frontend.nodes.station_bag import read_station
@@ -53,7 +54,8 @@ class Selection:
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters that were given."""
-        values = {**vars(self), "file": str(Path(self.file).resolve())}
+        file = self.file if is_live(self.file) else str(Path(self.file).resolve())
+        values = {**vars(self), "file": file}
         return {key: value for key, value in values.items() if value not in ("", 0.0)}
 
 

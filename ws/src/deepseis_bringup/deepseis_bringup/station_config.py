@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from deepseis_bringup.web_options import WebOptions
 from deepseis_core.errors import InputError
 from deepseis_core.yaml_config import Entry, fill, read_yaml
 from deepseis_frontend.if_open import open_source
+from deepseis_frontend.if_soapy import is_live
 from deepseis_frontend.imu_file import Installation
 
 MODES = ("realtime", "lockstep")
@@ -191,7 +193,9 @@ class _Checker:
                 out[key] = kind(value)
             except (TypeError, ValueError):
                 self.that(False, f"source.{key} is {value!r}, not a number")
-        if out.get("file"):
+        if is_live(out.get("file", "")):
+            out.setdefault("start_utc", datetime.now(UTC).isoformat(timespec="microseconds"))
+        elif out.get("file"):
             out["file"] = str(self.beside(out["file"]))
         return out
 

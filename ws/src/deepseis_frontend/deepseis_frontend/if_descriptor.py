@@ -3,7 +3,7 @@
 The descriptor is a YAML file beside the recording, ``<recording>.yaml``, or comes as arguments
 (which win)::
 
-    format: iq8                         # see deepseis_core.if_format
+    format: iq8                         # deepseis_core.if_format, deepseis_frontend.if_recode
     sample_rate_hz: 4.0e6               # [Hz]
     intermediate_frequency_hz: 0.0      # [Hz]
     start_utc: 2021-12-02T08:47:00Z     # optional: UTC of sample 0
@@ -23,6 +23,7 @@ from typing import Any, Final
 from deepseis_core.errors import InputError
 from deepseis_core.if_format import IfFormat
 from deepseis_core.yaml_config import read_yaml
+from deepseis_frontend.if_recode import Recoding, recoding_of
 
 EXAMPLE: Final = "format: iq8, sample_rate_hz: 4.0e6, intermediate_frequency_hz: 0.0"
 
@@ -37,6 +38,13 @@ class IfDescriptor:
     start_utc_ns: int | None = None
     header_bytes: int = 0
     check_levels: bool = True
+    recoding: Recoding | None = None
+    """Where the recording's own bytes are no such format and are turned into it."""
+
+    @property
+    def text(self) -> str:
+        """The format's text as a descriptor has it."""
+        return self.format.to_text() if self.recoding is None else self.recoding.text
 
 
 def descriptor_path(path: str | Path) -> Path:
@@ -47,7 +55,7 @@ def descriptor_path(path: str | Path) -> Path:
 def write_descriptor(path: str | Path, descriptor: IfDescriptor) -> Path:
     """Write the descriptor beside a recording and return its path."""
     lines = [
-        f'format: "{descriptor.format.to_text()}"',
+        f'format: "{descriptor.text}"',
         f"sample_rate_hz: {descriptor.sample_rate_hz!r}  # [Hz]",
         f"intermediate_frequency_hz: {descriptor.intermediate_frequency_hz!r}  # [Hz]",
     ]
@@ -101,7 +109,8 @@ def _read_yaml(path: Path) -> dict[str, Any]:
 
 
 def _descriptor(where: object, values: dict[str, Any]) -> IfDescriptor:
-    known = {item.name for item in dataclasses.fields(IfDescriptor)} | {"start_utc"}
+    known = {item.name for item in dataclasses.fields(IfDescriptor)} - {"recoding"}
+    known |= {"start_utc"}
     unknown = [str(key) for key in values if key not in known]
     if unknown:
         raise InputError(
@@ -115,7 +124,11 @@ def _descriptor(where: object, values: dict[str, Any]) -> IfDescriptor:
     if header < 0 or header != int(header):
         raise InputError(where, f"header_bytes is {header}", "it is a number of bytes")
     start = values.get("start_utc_ns")
+    recoding = None if isinstance(packing, IfFormat) else recoding_of(str(packing))
+    if recoding is not None:
+        packing = recoding.format
     return IfDescriptor(
+        recoding=recoding,
         format=packing if isinstance(packing, IfFormat) else IfFormat.from_text(str(packing)),
         sample_rate_hz=rate,
         intermediate_frequency_hz=_number(where, values, "intermediate_frequency_hz"),

@@ -18,6 +18,7 @@ from deepseis_core.if_format import IfFormat
 from deepseis_core.types import IfBlock
 from deepseis_frontend.if_descriptor import IfDescriptor, read_descriptor
 from deepseis_frontend.if_levels import implausible
+from deepseis_frontend.if_recode import RecodedFile, float_scale
 from deepseis_frontend.if_stream import Remark, samples_per_block
 
 PROBES = 8  # places of the recording whose levels are looked at
@@ -60,21 +61,43 @@ class IfFile:
         self.remarks: list[Remark] = []
         packing = self.descriptor.format
         body = max(size - self.descriptor.header_bytes, 0)
-        available = packing.samples_in(body)
+        available = packing.samples_in(self._plain_bytes(body))
         if available == 0:
-            raise InputError(self.path, f"{size} bytes hold no sample of {packing.to_text()}")
-        self._trailing_bytes = body % packing.bytes_per_unit
+            text = self.descriptor.text
+            raise InputError(self.path, f"{size} bytes hold no sample of {text}")
+        self._trailing_bytes = body - self._raw_bytes(packing.bytes_for(available))
+        self._scale = self._float_scale()
         self._select(packing, available, start, length)
         probe = self._probe(packing)
         if self.descriptor.check_levels and (reason := implausible(probe, packing)):
             raise InputError(
                 self.path,
-                f"cannot be {packing.to_text()}: {reason}",
+                f"cannot be {self.descriptor.text}: {reason}",
                 "check the format, or set check_levels: false",
             )
         self.format = self._pin_scale(packing, probe)
         self._text = self.format.to_text()
         self.samples_per_block = samples_per_block(packing, self.sample_rate_hz)
+
+    def _plain_bytes(self, raw: int) -> int:
+        """Return how many bytes of the format a number of the recording's own become."""
+        recoding = self.descriptor.recoding
+        return raw if recoding is None else raw // recoding.raw_bytes * recoding.bytes
+
+    def _raw_bytes(self, plain: int) -> int:
+        recoding = self.descriptor.recoding
+        return plain if recoding is None else plain // recoding.bytes * recoding.raw_bytes
+
+    def _float_scale(self) -> float:
+        recoding, header = self.descriptor.recoding, self.descriptor.header_bytes
+        return 1.0 if recoding is None else float_scale(self.path, recoding, header)
+
+    def _open(self) -> RawIOBase:
+        """Open the recording as bytes of the format."""
+        recoding = self.descriptor.recoding
+        if recoding is None:
+            return self.path.open("rb", buffering=0)
+        return RecodedFile(self.path, recoding, self.descriptor.header_bytes, self._scale)
 
     def _select(
         self, packing: IfFormat, available: int, start: float, length: float | None
@@ -98,7 +121,7 @@ class IfFile:
         self.remarks.clear()
         total = self.total_samples or 0
         done = 0
-        with self.path.open("rb", buffering=0) as file:
+        with self._open() as file:
             file.seek(self._byte_of(self.first_sample))
             while done < total:
                 count = min(self.samples_per_block, total - done)
@@ -139,7 +162,8 @@ class IfFile:
             self.remarks.append(Remark("short_end", end, "; ".join(notes)))
 
     def _byte_of(self, sample: int) -> int:
-        return self.descriptor.header_bytes + self.descriptor.format.bytes_for(sample)
+        header = 0 if self.descriptor.recoding is not None else self.descriptor.header_bytes
+        return header + self.descriptor.format.bytes_for(sample)
 
     def _probe(self, packing: IfFormat) -> NDArray[np.uint8]:
         """Read some units from places spread over the part that is asked for."""
@@ -148,7 +172,7 @@ class IfFile:
         each = min(PROBE_UNITS, units)
         starts = sorted({(units - each) * k // (PROBES - 1) for k in range(PROBES)})
         pieces = []
-        with self.path.open("rb", buffering=0) as file:
+        with self._open() as file:
             for unit in starts:
                 file.seek(self._byte_of(self.first_sample) + unit * packing.bytes_per_unit)
                 pieces.append(_read_exactly(file, each * packing.bytes_per_unit))

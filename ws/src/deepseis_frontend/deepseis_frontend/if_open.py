@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from deepseis_core.errors import InputError
+from deepseis_core.sample_clock import utc_ns_from_iso
 from deepseis_frontend.if_bag import IfBag
 from deepseis_frontend.if_file import open_if_file
+from deepseis_frontend.if_soapy import SoapySource, is_live
 from deepseis_frontend.if_stream import IfSource
 
 
@@ -16,7 +18,7 @@ class Selection(Protocol):
 
     @property
     def file(self) -> str:
-        """Raw recording, or the folder or file of a bag."""
+        """Raw recording, the folder or file of a bag, or a device."""
         ...
 
     @property
@@ -35,6 +37,11 @@ class Selection(Protocol):
         ...
 
     @property
+    def start_utc(self) -> str:
+        """UTC of sample 0, ISO 8601, or empty."""
+        ...
+
+    @property
     def start_s(self) -> float:
         """Skip so much [s]."""
         ...
@@ -46,7 +53,7 @@ class Selection(Protocol):
 
 
 def open_source(selection: Selection) -> IfSource:
-    """Open a raw recording or a bag.
+    """Open a raw recording, a bag, or a live device (``soapy:...``).
 
     Raises
     ------
@@ -55,6 +62,8 @@ def open_source(selection: Selection) -> IfSource:
     """
     if not selection.file:
         raise InputError("parameter file", "is empty", "name an IF recording or a bag")
+    if is_live(selection.file):
+        return _live(selection)
     path = Path(selection.file)
     if not path.exists():
         raise InputError(path, "does not exist")
@@ -70,3 +79,16 @@ def open_source(selection: Selection) -> IfSource:
         given["intermediate_frequency_hz"] = selection.intermediate_frequency_hz
     length = selection.length_s or None
     return open_if_file(path, start=selection.start_s, length=length, **given)
+
+
+def _live(selection: Selection) -> SoapySource:
+    if selection.start_s or selection.length_s:
+        raise InputError(selection.file, "is live", "leave out start and length")
+    given = selection.start_utc
+    return SoapySource(
+        selection.file,
+        format=selection.format,
+        sample_rate_hz=selection.sample_rate_hz,
+        intermediate_frequency_hz=selection.intermediate_frequency_hz,
+        start_utc_ns=utc_ns_from_iso(given) if given else None,
+    )

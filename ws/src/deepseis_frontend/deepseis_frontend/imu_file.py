@@ -11,6 +11,7 @@ Columns are named as in the file's header, or numbered from 1. Units ``m/s`` and
 are increments of velocity and angle over a sample's interval. ``installation`` says how the IMU
 stands at its station (`Installation`), unless the station's own file does. With
 ``time: {zero_utc: ...}`` time 0 is that UTC instead: as good as the IF's own ``start_utc``.
+``time: {offset: ...}`` shifts all times by what ``deepseis align`` has found.
 """
 
 from __future__ import annotations
@@ -51,6 +52,7 @@ class TimeColumn:
     column: str = setting("t", "name, or number from 1 [-]")
     unit: str = setting("s", "of the column [-]", choices=tuple(TIME_UNITS))
     zero_utc: str = setting("", "UTC of time 0, ISO 8601; empty: sample 0 of the IF [-]")
+    offset: float = setting(0.0, "to be added to all times, as `align` finds it [s]")
 
 
 @dataclass(frozen=True)
@@ -125,9 +127,10 @@ class ImuFile:
         if not beside.is_file():
             raise InputError(self.path, f"has no {beside.name} beside it", "see docs/formats.md")
         self.format = fill(ImuFormat, read_yaml(beside))
-        self._turn = _turn(beside, self.format.axes)
+        self._turn = axes_matrix(beside, self.format.axes)
         zero = self.format.time.zero_utc
         self._zero_ns = utc_ns_from_iso(zero) - clock.start_utc_ns if zero else 0
+        self._zero_ns += round(self.format.time.offset * 1e9)
         times = [t for t, _ in islice(self._rows(), LOOKED_AT)]
         if len(times) < 2:
             raise InputError(self.path, "holds less than two samples")
@@ -221,12 +224,12 @@ class ImuFile:
         return out
 
 
-def _turn(where: object, axes: tuple[str, ...]) -> FloatArray:
+def axes_matrix(where: object, axes: tuple[str, ...]) -> FloatArray:
     """Return the matrix from the columns to forward-left-up.
 
     Examples
     --------
-    >>> _turn("a.yaml", ("y", "x", "-z")).astype(int).tolist()
+    >>> axes_matrix("a.yaml", ("y", "x", "-z")).astype(int).tolist()
     [[0, 1, 0], [1, 0, 0], [0, 0, -1]]
     """
     out = np.zeros((3, 3))

@@ -11,6 +11,7 @@ from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import ImuSample
 from deepseis_frontend.imu_bag import ImuBag
 from deepseis_frontend.imu_file import ImuFile
+from deepseis_frontend.imu_rosbag import ImuRosbag, is_rosbag
 
 
 class ImuRecording(Protocol):
@@ -29,7 +30,7 @@ def is_bag(path: Path) -> bool:
 
 
 def open_imu(path: str | Path, clock: SampleClock) -> ImuRecording:
-    """Open a bag or a text file of columns.
+    """Open a bag of this station, a bag of others, or a text file of columns.
 
     Raises
     ------
@@ -39,4 +40,6 @@ def open_imu(path: str | Path, clock: SampleClock) -> ImuRecording:
     path = Path(path)
     if not path.exists():
         raise InputError(path, "does not exist")
+    if is_rosbag(path):
+        return ImuRosbag(path, clock)
     return ImuBag(path, clock) if is_bag(path) or path.is_dir() else ImuFile(path, clock)

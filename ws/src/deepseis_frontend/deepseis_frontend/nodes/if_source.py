@@ -20,6 +20,7 @@ from deepseis_core.sample_clock import SampleClock, utc_ns_from_iso
 from deepseis_core.types import IfBlock as IfBlockValue
 from deepseis_frontend.credits import CreditWindow
 from deepseis_frontend.if_open import open_source
+from deepseis_frontend.if_soapy import SoapySource
 from deepseis_msgs.msg import IfBlock, Watermark
 
 
@@ -27,7 +28,9 @@ from deepseis_msgs.msg import IfBlock, Watermark
 class SourceConfig:
     """What to play and how fast."""
 
-    file: str = setting("", "raw IF recording, or the folder or file of a bag [path]")
+    file: str = setting(
+        "", "raw IF recording, the folder or file of a bag, or soapy:driver=... [path]"
+    )
     format: str = setting("", "packing, if no descriptor lies beside the file: preset or text [-]")
     sample_rate_hz: float = setting(0.0, "sampling rate, if no descriptor tells [Hz]", low=0)
     intermediate_frequency_hz: float = setting(0.0, "nominal IF, if no descriptor tells [Hz]")
@@ -103,6 +106,8 @@ class IfSourceNode(Node):
         """Tell whether the next block's turn has come."""
         if self.flow.lockstep:
             return self.window.is_open()
+        if isinstance(self.source, SoapySource) and self.last_index >= 0:
+            return self.source.is_ready()
         played = (self.last_index + 1) / self.source.sample_rate_hz / self.config.pace
         return time.monotonic() - self.started_at >= played
 
