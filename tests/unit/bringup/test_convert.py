@@ -25,6 +25,7 @@ from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_core.ros import codecs
 from deepseis_core.ros.cdr import encode_message
 from deepseis_core.ros.convert import stamp_from_ns
+from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import (
     Displacement,
     DisplacementSource,
@@ -36,6 +37,7 @@ from deepseis_core.types import (
     PvtStatus,
     Station,
 )
+from deepseis_frontend.imu_open import open_imu
 from deepseis_msgs import msg
 
 TYPE_OF = {topic: name for topic, (name, _) in TYPES.items()} | {
@@ -439,3 +441,16 @@ def test_a_clock_set_by_a_millisecond_moves_no_true_time():
     )
     true = time.of_receiver(receiver)
     assert set(np.diff(true)) == {10**8}
+
+
+def test_the_imu_s_table_is_an_input_again(bag, tmp_path):
+    convert.convert(bag, "csv", tmp_path, convert.ConvertOptions(), print)
+    rows = table(tmp_path / "imu.csv")
+    clock = SampleClock(START.to_utc_ns(), 4e6)
+    imu = open_imu(tmp_path / "imu.csv", clock)
+    samples = list(imu.samples())
+    assert imu.rate_hz == IMU_RATE
+    times = [int(row["tow_ns"]) - START.tow_ns for row in rows]
+    expected = [clock.sample_at(clock.start_utc_ns + t) for t in times]
+    assert [s.sample_index for s in samples] == [e for e in expected if e >= 0]
+    assert imu.format.installation is not None

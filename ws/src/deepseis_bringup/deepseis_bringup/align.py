@@ -19,7 +19,7 @@ from deepseis_bringup.convert_bag import ConvertBag
 from deepseis_bringup.run_data import EPOCHS_TYPE
 from deepseis_core.errors import InputError
 from deepseis_core.geodesy import geodetic_from_ecef, rotation_ned_ecef
-from deepseis_core.imu_grades import GRADES
+from deepseis_core.imu_grades import grade_named
 from deepseis_core.mcap_scan import McapScan
 from deepseis_core.ros import codecs
 from deepseis_core.rotation import flu_from_frd, ned_frd_from_enu_flu, quat_from_matrix
@@ -138,9 +138,9 @@ def imu_series(samples: Iterable[ImuSample], clock: SampleClock, rate_hz: float)
 
 def config_for(stands: Installation | None) -> MountingConfig:
     """Return settings for the grade of an IMU, where it is said."""
-    if stands is None or stands.grade not in GRADES:
+    if stands is None or not stands.grade:
         return MountingConfig()
-    grade = GRADES[stands.grade]
+    grade = grade_named(stands.grade)
     gyros, accels = grade.gyros, grade.accelerometers
     tilt = GRAVITY * (accels.scale + accels.misalignment)
     return MountingConfig(

@@ -10,6 +10,7 @@ from deepseis_bringup import (
     cli_accept,
     cli_align,
     cli_bags,
+    cli_commission,
     cli_convert,
     cli_gravimetry,
     cli_runs,
@@ -95,6 +96,7 @@ for commands in (
     cli_theory,
     cli_gravimetry,
     cli_align,
+    cli_commission,
     cli_accept,
 ):
     commands.register(app)

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from deepseis_bringup.convert_bag import ConvertBag
-from deepseis_bringup.convert_csv import CsvFolder, CsvHandlers
+from deepseis_bringup.convert_csv import CsvFolder, CsvHandlers, imu_description
 from deepseis_bringup.fdsn_channels import (
     NETWORK,
     Place,
@@ -224,4 +224,7 @@ def to_csv(known: Survey, folder: Path, _options: ConvertOptions, _say: Say) -> 
         for topic, value, utc_ns in known.bag.values(handlers.by_topic):
             handlers.by_topic[topic](value, utc_ns)
         handlers.finish()
+    if "imu" in out.paths:
+        text = imu_description(handlers.imu_week, known.station)
+        Path(f"{out.paths['imu']}.yaml").write_text(text, encoding="utf-8")
     return list(out.paths.values())

@@ -61,6 +61,7 @@ TOPICS: Final[Mapping[str, tuple[str, Decode]]] = {
     "gnss/observations": ("deepseis_msgs/msg/Observations", codecs.OBSERVATIONS.decode),
     "gnss/ephemeris": ("deepseis_msgs/msg/Ephemeris", codecs.EPHEMERIS.decode),
     "gnss/pvt": ("deepseis_msgs/msg/Pvt", codecs.PVT.decode),
+    "gnss/rtk": ("deepseis_msgs/msg/PrecisePosition", codecs.PRECISE_POSITION.decode),
     "gnss/precise": ("deepseis_msgs/msg/PrecisePosition", codecs.PRECISE_POSITION.decode),
     "motion/state": ("deepseis_msgs/msg/MotionState", codecs.MOTION_STATE.decode),
 }

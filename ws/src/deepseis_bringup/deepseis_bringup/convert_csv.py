@@ -24,6 +24,7 @@ from deepseis_core.types import (
     Observations,
     Pvt,
     PvtStatus,
+    Station,
 )
 
 Row = Iterable[object]
@@ -214,6 +215,7 @@ class CsvHandlers:
     def __init__(self, out: CsvFolder, time: TrueTime) -> None:
         self.out, self.time = out, time
         self._imu: list[tuple[int, ImuSample]] = []
+        self.imu_week = -1
         self.by_topic: dict[str, Callable[[Any, int], None]] = {
             "seismo/displacement": self.displacement,
             "imu/data_raw": self.imu,
@@ -246,5 +248,28 @@ class CsvHandlers:
             stamps = np.array([utc_ns for utc_ns, _ in self._imu], np.int64)
             times = self.time.of_stamps(stamps).tolist()
             samples = (sample for _, sample in self._imu)
+            self.imu_week = self.imu_week if self.imu_week >= 0 else GpsTime(0, times[0]).week
             self.out.write("imu", "imu/data_raw", map(imu_row, samples, times))
         self._imu = []
+
+
+def imu_description(week: int, station: Station | None) -> str:
+    """Return what makes ``imu.csv`` an input of `process`: the description beside it.
+
+    Times count from the beginning of the GPS week of the first sample.
+    """
+    zero = UtcMoment.of_gps_ns(GpsTime(week, 0).total_ns).iso(0)
+    names = HEADERS["imu/data_raw"][len(TIME) :]
+    lines = [
+        "# What the columns of imu.csv are (docs/formats.md).",
+        f'time: {{column: tow_ns, unit: ns, zero_utc: "{zero}", offset: 0.0}}',
+        f"accelerometer: {{columns: [{', '.join(names[:3])}], unit: m/s^2}}",
+        f"gyroscope: {{columns: [{', '.join(names[3:])}], unit: rad/s}}",
+    ]
+    if station is not None and station.imu:
+        lines.append("installation:")
+        lines.append(f'  grade: "{station.imu}"')
+        for name in ("imu_to_antenna", "orientation_xyzw"):
+            values = getattr(station, name.replace("orientation", "imu_orientation"))
+            lines.append(f"  {name}: [{', '.join(repr(float(v)) for v in values)}]")
+    return "\n".join(lines) + "\n"
