@@ -64,7 +64,14 @@ def make_reference(app: object) -> None:
     """Write the pages that are made from the program; unchanged ones keep their date."""
     folder = Path(__file__).parent / "reference"
     folder.mkdir(exist_ok=True)
-    for name, page in (("commands", commands_page), ("messages", messages_page)):
+    from deepseis_bringup.parameter_table import parameters_page
+
+    pages = (
+        ("commands", commands_page),
+        ("messages", messages_page),
+        ("parameters", parameters_page),
+    )
+    for name, page in pages:
         path, text = folder / f"{name}.md", page() + "\n"
         if not path.exists() or path.read_text() != text:
             path.write_text(text)

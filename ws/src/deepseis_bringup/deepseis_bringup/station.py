@@ -16,6 +16,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 
+from deepseis_bringup.alert import Alerts
 from deepseis_bringup.graph import build_graph
 from deepseis_bringup.live_page import LivePage, live_page
 from deepseis_bringup.restarts import Restarts
@@ -24,13 +25,19 @@ from deepseis_bringup.station_config import StationConfig
 from deepseis_bringup.supervisor import Supervisor, running
 from deepseis_bringup.watch import GraphWatch
 from deepseis_core.errors import InputError
-from deepseis_core.ros import qos
-from deepseis_msgs.msg import Watermark
+from deepseis_core.ros import diagnostics, qos
+from deepseis_core.ros.convert import ns_from_stamp
+from deepseis_msgs.msg import SeismicEvent, Watermark
 
 DISCOVERY_SECONDS = 1.0
 """How long to look for another graph of the same name before starting [s]."""
 DRAIN_SECONDS = 10.0
 """How long the nodes have to work through what the source sent before it was stopped [s]."""
+EVENT_FIELDS = (
+    *("event_id", "ended", "onset_ratio", "peak_displacement", "peak_velocity"),
+    *("peak_acceleration", "hypocentral_distance", "magnitude", "magnitude_sd"),
+)
+"""Of a message that an alert holds."""
 TRACKING = re.compile(r"tracking (\d+)")
 
 
@@ -48,6 +55,25 @@ class StationWatch(GraphWatch):
         self.node.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, qos.STREAM
         )
+
+    def tell_of_events(self, alerts: Alerts) -> None:
+        """Hand events to whom alerts them; how that goes is on `/diagnostics`."""
+        said = self.node.create_publisher(DiagnosticArray, "/diagnostics", qos.STREAM)
+
+        def on_event(msg: SeismicEvent) -> None:
+            values = {name: getattr(msg, name) for name in EVENT_FIELDS}
+            onset = ns_from_stamp(msg.onset)
+            alerts.push({**values, "onset_utc_ns": onset})
+
+        def report() -> None:
+            level = diagnostics.WARN if alerts.failed else diagnostics.OK
+            text = "alerts were not delivered" if alerts.failed else "ready"
+            said.publish(
+                diagnostics.array("alert", level, text, alerts.counters(), time.time_ns())
+            )
+
+        self.node.create_subscription(SeismicEvent, "seismo/event", on_event, qos.LATCHED)
+        self.node.create_timer(1.0, report)
 
     def follow_ends(self, members: list[str]) -> None:
         """Collect in ``ended`` who says that nothing more will follow, and who has said so."""
@@ -131,6 +157,17 @@ def terminate_is_interrupt() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
+@contextmanager
+def alerting(config: StationConfig, watch: StationWatch) -> Iterator[None]:
+    """Tell of events while the station runs, if anybody is to be told."""
+    if not config.alert.is_wanted:
+        yield
+        return
+    with Alerts(config.alert, config.station) as alerts:
+        watch.tell_of_events(alerts)
+        yield
+
+
 def run_station(
     config: StationConfig,
     folder: Path,
@@ -180,6 +217,7 @@ def run_station(
             say(line)
         with (
             live_page(config.live_page, folder, say, namespace=config.station) as pages,
+            alerting(config, watch),
             running(supervisor),
         ):
             try:

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from deepseis_bringup.alert import AlertConfig, checked
 from deepseis_bringup.archive import ArchiveConfig, free_bytes
 from deepseis_bringup.archive_report import estimate
 from deepseis_bringup.graph import ALL_SATELLITES, KINDS, GraphConfig
@@ -25,6 +26,7 @@ MODES = ("realtime", "lockstep")
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 ARCHIVE_KEYS = tuple(item.name for item in fields(ArchiveConfig))
 WEB_KEYS = tuple(item.name for item in fields(WebOptions))
+ALERT_KEYS = tuple(item.name for item in fields(AlertConfig))
 IMU_KEYS = ("file", *(item.name for item in fields(Installation)))
 SOURCE_KEYS = (*(item.name for item in fields(Selection)), "pace", "window_blocks")
 
@@ -47,6 +49,7 @@ class StationConfig:
     archive: ArchiveConfig = field(default_factory=ArchiveConfig)
     imu: Mapping[str, Any] = field(default_factory=dict)
     live_page: WebOptions | None = None
+    alert: AlertConfig = field(default_factory=AlertConfig)
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
@@ -133,6 +136,7 @@ def station_config(values: Any, path: Path) -> StationConfig:
         archive=check.archive(check.mapping(values.get("archive"), "archive", ARCHIVE_KEYS)),
         imu=check.imu(check.mapping(values.get("imu"), "imu", IMU_KEYS)),
         live_page=check.live_page(check.mapping(values.get("live_page"), "live_page", WEB_KEYS)),
+        alert=check.alert(check.mapping(values.get("alert"), "alert", ALERT_KEYS)),
         mode=str(values.get("mode", "realtime")),
         parameters=check.files(parameters),
         **{key: check.truth(values, key) for key in ("one_process", "record", "record_if")},
@@ -230,6 +234,12 @@ class _Checker:
         token_file = str(self.beside(values["token_file"])) if values.get("token_file") else ""
         address = str(values.get("address") or WebOptions.address)
         return WebOptions(port, address, token_file, tuple(names))
+
+    def alert(self, values: dict[str, Any]) -> AlertConfig:
+        """Return whom to tell of events."""
+        where = f"{self.path}: alert"
+        entries = {key: _entry(value, where) for key, value in values.items()}
+        return checked(fill(AlertConfig, Entry(entries, where)), where)
 
     def files(self, parameters: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
         """Make the files that parameters name relative to the configuration."""

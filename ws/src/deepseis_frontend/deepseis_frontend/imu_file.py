@@ -11,6 +11,8 @@ Columns are named as in the file's header, or numbered from 1. Units ``m/s`` and
 are increments of velocity and angle over a sample's interval. ``installation`` says how the IMU
 stands at its station (`Installation`), unless the station's own file does. With
 ``time: {zero_utc: ...}`` time 0 is that UTC instead: as good as the IF's own ``start_utc``.
+With ``time: {column: n, unit: count, triggers: file}`` a column counts the IMU's samples, and the
+file has pairs of such a count and the IF sample latched with it (`deepseis_frontend.imu_clock`).
 ``time: {offset: ...}`` shifts all times by what ``deepseis align`` has found.
 """
 
@@ -31,9 +33,10 @@ from deepseis_core.errors import InputError
 from deepseis_core.sample_clock import SampleClock, utc_ns_from_iso
 from deepseis_core.types import FloatArray, ImuSample
 from deepseis_core.yaml_config import fill, read_yaml
+from deepseis_frontend.imu_clock import ImuClock, fit_imu_clock
 
 Vector = tuple[float, float, float]
-TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "count": 1.0}
 FORCE_UNITS: Final = {"m/s^2": 1.0, "g": 9.80665, "mg": 9.80665e-3, "m/s": 1.0}
 RATE_UNITS: Final = {"rad/s": 1.0, "deg/s": math.pi / 180, "rad": 1.0, "deg": math.pi / 180}
 INCREMENTS: Final = ("m/s", "rad", "deg")
@@ -52,6 +55,9 @@ class TimeColumn:
     column: str = setting("t", "name, or number from 1 [-]")
     unit: str = setting("s", "of the column [-]", choices=tuple(TIME_UNITS))
     zero_utc: str = setting("", "UTC of time 0, ISO 8601; empty: sample 0 of the IF [-]")
+    triggers: str = setting(
+        "", "unit count: text of pairs, IMU count and IF sample, beside the file [-]"
+    )
     offset: float = setting(0.0, "to be added to all times, as `align` finds it [s]")
 
 
@@ -131,6 +137,7 @@ class ImuFile:
         zero = self.format.time.zero_utc
         self._zero_ns = utc_ns_from_iso(zero) - clock.start_utc_ns if zero else 0
         self._zero_ns += round(self.format.time.offset * 1e9)
+        self.imu_clock = self._triggered(beside)
         times = [t for t, _ in islice(self._rows(), LOOKED_AT)]
         if len(times) < 2:
             raise InputError(self.path, "holds less than two samples")
@@ -159,6 +166,43 @@ class ImuFile:
             rate, force = self._turn @ values[3:], self._turn @ values[:3]
             yield ImuSample(sample, rate_scale * rate, force_scale * force, 0.0, 0.0)
 
+    def _triggered(self, beside: Path) -> ImuClock | None:
+        """Return the line through the trigger counts, if the times are counts."""
+        given = self.format.time
+        if (given.unit == "count") != bool(given.triggers):
+            raise InputError(beside, "unit count and triggers come together")
+        if not given.triggers:
+            return None
+        path = self.path.parent / given.triggers
+        try:
+            pairs = np.loadtxt(path, delimiter=",", comments="#", ndmin=2)
+        except (OSError, ValueError) as error:
+            reason = " ".join(str(error).split())
+            raise InputError(path, f"holds no pairs of counts: {reason}") from None
+        if pairs.shape[1:] != (2,):
+            raise InputError(path, "holds no pairs of counts", "IMU count, IF sample")
+        return fit_imu_clock(pairs[:, 0], pairs[:, 1])
+
+    def _seconds(self, time: float) -> float:
+        """Turn a line's time into seconds since sample 0."""
+        if self.imu_clock is None:
+            return time * TIME_UNITS[self.format.time.unit]
+        return float(self.imu_clock.sample_at(time)) / self.clock.sample_rate_hz
+
+    def timing(self) -> dict[str, float]:
+        """Return what is known of the clock that stamps it, for the diagnostics."""
+        clock = self.imu_clock
+        if clock is None:
+            return {}
+        rate = self.clock.sample_rate_hz
+        return {
+            "rate_measured_hz": round(clock.rate_hz(rate), 7),
+            "rate_sd_hz": float(f"{clock.rate_sd_hz(rate):.2g}"),
+            "time_sd_us": round(1e6 * float(clock.sd_at(clock.count)) / rate, 3),
+            "trigger_jitter_us": round(1e6 * clock.jitter / rate, 3),
+            "trigger_outliers": clock.outliers,
+        }
+
     def _require_gravity(self) -> None:
         found = islice(self.samples(), LOOKED_AT)
         norms = [float(np.linalg.norm(item.linear_acceleration)) for item in found]
@@ -178,7 +222,7 @@ class ImuFile:
             raise InputError(self.path, f"cannot be read: {error}") from None
 
     def _lines(self, file: TextIO) -> Iterator[tuple[float, FloatArray]]:
-        given, scale = self.format, TIME_UNITS[self.format.time.unit]
+        given = self.format
         names = [given.time.column, *given.accelerometer.columns, *given.gyroscope.columns]
         columns: list[int] = []
         header: list[str] = []
@@ -195,7 +239,7 @@ class ImuFile:
                 reason = f"line {number}: time {values[0]:g} comes after {last:g}"
                 raise InputError(self.path, reason)
             last = float(values[0])
-            yield last * scale, values[1:]
+            yield self._seconds(last), values[1:]
 
     def _cells(self, file: TextIO) -> Iterator[list[str]]:
         if not self.format.delimiter.strip():

@@ -39,7 +39,7 @@ class MotionConfig:
     window: float = setting(1.0, "of variances [s]", low=0.1, high=60.0)
     static_windows: int = setting(3, "still windows in a row (thesis)", low=1, high=100)
     false_switches_per_day: float = setting(
-        0.02, "expected at rest, at most (fast)", low=1e-9, high=1e5
+        0.02, "expected at rest, at most (fast) [1/day]", low=1e-9, high=1e5
     )
     quiet_time: float = setting(5.0, "without motion before still (fast) [s]", low=0.5, high=600.0)
     longest_window: float = setting(8.0, "for slow motion (fast) [s]", low=0.2, high=60.0)

@@ -20,6 +20,7 @@ from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import ImuSample
 from deepseis_core.types import Station as StationValue
 from deepseis_frontend.if_bag import IfBag
+from deepseis_frontend.imu_file import ImuFile
 from deepseis_frontend.imu_open import open_imu
 from deepseis_frontend.nodes.station_bag import read_station
 from deepseis_msgs.msg import Station, Watermark
@@ -61,6 +62,7 @@ class ImuSourceNode(Node):
         reject_unknown(self)
         self.clock = self.clock_of_signal()
         self.source = open_imu(self.config.imu_file or self.config.file, self.clock)
+        self.timing = self.source.timing() if isinstance(self.source, ImuFile) else {}
         self.samples: Iterator[ImuSample] = self.source.samples()
         self.next: ImuSample | None = next(self.samples)
         self.publisher = self.flow.publish_on("imu/data_raw", Imu, qos.STREAM)
@@ -132,7 +134,11 @@ class ImuSourceNode(Node):
             utc_ns = self.clock.utc_ns(sample_index)
             self.diagnostics.publish(
                 diagnostics.encoded(
-                    "imu_source", diagnostics.OK, text, {"samples": self.sent}, utc_ns
+                    "imu_source",
+                    diagnostics.OK,
+                    text,
+                    {"samples": self.sent, **self.timing},
+                    utc_ns,
                 )
             )
 
