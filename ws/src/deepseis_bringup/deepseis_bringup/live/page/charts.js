@@ -43,13 +43,13 @@ export function drawInnovations(canvas, store) {
   context.fillText("−3", 3, y(-3) + 11);
 }
 
-/** Time from the source's sending a sample to its ground motion; returns a text. */
+/** Time from the source's sending a sample to its ground motion. */
 export function drawLatency(canvas, store) {
   const view = chart(canvas, store, "latency");
-  if (!view) return "";
+  if (!view) return;
   const { context, width, height, ring, isEnvelope } = view;
   const [, most] = extent(ring, isEnvelope, 0, view.first);
-  if (!Number.isFinite(most)) return "";
+  if (!Number.isFinite(most)) return;
   const scale = roundUp(Math.max(10, most));
   const y = (value) => height - 2 - (value / scale) * (height - 16);
   const colour = colours();
@@ -62,6 +62,14 @@ export function drawLatency(canvas, store) {
   context.strokeStyle = colour.accent;
   context.lineWidth = 1.1;
   drawEnvelope(context, view, 0, view.first, view.x, y, 1 / view.ratio);
-  const values = Array.from(ring.values.subarray(view.first, ring.end)).sort((a, b) => a - b);
-  return `median ${digits(values[values.length >> 1], 2)} ms, most ${digits(most, 2)} ms`;
+}
+
+/** The same in words. */
+export function latencyText(store) {
+  const found = store.suited("latency", SECONDS);
+  if (!found || !Number.isFinite(store.newest)) return "";
+  const { ring } = found;
+  const values = ring.values.slice(ring.from(store.newest - SECONDS), ring.end).sort();
+  if (!values.length) return "";
+  return `median ${digits(values[values.length >> 1], 2)} ms, most ${digits(values.at(-1), 2)} ms`;
 }

@@ -7,7 +7,13 @@ export function digits(value, count = 3) {
   if (!Number.isFinite(value)) return NONE;
   if (value === 0) return "0";
   const places = count - 1 - Math.floor(Math.log10(Math.abs(value)));
-  return value.toFixed(Math.min(6, Math.max(0, places)));
+  return fixed(value, Math.min(6, Math.max(0, places)));
+}
+
+/** Write a value with so many decimals, and a true minus. */
+export function fixed(value, decimals) {
+  if (value === null || value === undefined) return NONE;
+  return value.toFixed(decimals).replace("-", "\u2212");
 }
 
 /** Units of a quantity, by the size from which each is used. */

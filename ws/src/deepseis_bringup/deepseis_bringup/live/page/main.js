@@ -1,6 +1,6 @@
 // The live page: listens to the station, draws what comes, says what it has shown.
 
-import { drawInnovations, drawLatency } from "./charts.js";
+import { drawInnovations, drawLatency, latencyText } from "./charts.js";
 import { clock, put, span } from "./format.js";
 import * as panels from "./panels.js";
 import { Sky } from "./sky.js";
@@ -70,8 +70,7 @@ function draw() {
   const events = view.state?.events ?? [];
   for (const lane of lanes) lane.draw(store, view.seconds, events);
   drawInnovations(document.getElementById("innovation"), store);
-  const behind = drawLatency(document.getElementById("latency"), store);
-  put(document.getElementById("behind"), behind);
+  drawLatency(document.getElementById("latency"), store);
   if (view.state) showState(view.state);
   view.drawn += 1;
   view.dirty = false;
@@ -92,6 +91,7 @@ function showState(state) {
   panels.showDiagnostics(state);
   panels.showSilence(state);
   sky.update(state.satellites);
+  put(document.getElementById("behind"), latencyText(store));
   showLink();
   const running = state.events.at(-1)?.ended === false;
   document.title = `${running ? "● event · " : ""}${state.station.name || "DeepSeis"}`;

@@ -1,6 +1,6 @@
 // Everything that is not a picture: header, event, satellites, filter, motion state, diagnostics.
 
-import { NONE, clock, day, digits, put, putValue, span, withUnit } from "./format.js";
+import { NONE, clock, day, digits, fixed, put, putValue, span, withUnit } from "./format.js";
 import { kindOf } from "./sky.js";
 
 const $ = (id) => document.getElementById(id);
@@ -116,10 +116,9 @@ export function showSatellites({ satellites }) {
   const body = document.querySelector("#satellites tbody");
   const rows = [...satellites].sort((a, b) => (b.elevation_deg ?? -1) - (a.elevation_deg ?? -1));
   const elements = keyed(body, rows.map((item) => item.name), () => {
-    const tr = row(9);
+    const tr = row(8);
     const bar = document.createElement("i");
     tr.children[1].append(bar, document.createElement("span"));
-    for (const k of [6, 7]) tr.children[k].className = "more";
     return tr;
   });
   rows.forEach((item, k) => satellite(elements[k], item));
@@ -127,7 +126,7 @@ export function showSatellites({ satellites }) {
 
 function satellite(tr, item) {
   tr.className = `${kindOf(item)}${item.used ? "" : " unused"}${item.silent_s > SILENT_S ? " old" : ""}`;
-  const [name, cn0, loop, age, lock, elevation, azimuth, residual, slips] = tr.children;
+  const [name, cn0, loop, age, lock, elevation, residual, slips] = tr.children;
   put(name, item.name);
   const level = Math.max(0, Math.min(1, ((item.cn0_dbhz ?? 0) - 15) / 40));
   cn0.firstElementChild.style.setProperty("--level", level.toFixed(3));
@@ -136,9 +135,8 @@ function satellite(tr, item) {
   put(loop, item.mode + trouble);
   put(lock, item.phase_lock ? item.phase_lock_indicator?.toFixed(2) ?? NONE : item.code_lock ? "code" : "none");
   put(age, item.aid_age_ms === null || item.aid_age_ms === undefined ? NONE : item.aid_age_ms.toFixed(0));
-  put(elevation, item.elevation_deg?.toFixed(0) ?? NONE);
-  put(azimuth, item.azimuth_deg?.toFixed(0) ?? NONE);
-  put(residual, item.rejected ? "out" : item.residual_m?.toFixed(1) ?? NONE);
+  put(elevation, fixed(item.elevation_deg, 0));
+  put(residual, item.rejected ? "out" : fixed(item.residual_m, 1));
   put(slips, String(item.slips));
 }
 

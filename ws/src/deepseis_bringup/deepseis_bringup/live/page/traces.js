@@ -71,18 +71,28 @@ export class Lanes {
     context.beginPath();
     context.rect(0, lane.top, width, view.lane);
     context.clip();
-    if (gnss && !gnss.isEnvelope) {
-      context.fillStyle = colour.muted;
-      context.globalAlpha = 0.55;
-      drawDots(context, gnss.ring, k, gnss.ring.from(view.begin), view.x, y, 2);
-      context.globalAlpha = 1;
-    }
+    if (gnss) this.drawAlone(context, view, gnss, k, y);
     context.strokeStyle = colour[lane.axis];
     context.lineWidth = 1.15;
     context.lineJoin = "round";
     drawEnvelope(context, main, column, Math.max(first - 1, main.ring.begin), view.x, y, 1 / view.ratio);
     context.restore();
     this.label(context, view, lane);
+  }
+
+  /** Displacement from GNSS alone, behind the fused one: dots, where there is room for them. */
+  drawAlone(context, view, gnss, k, y) {
+    const first = gnss.ring.from(view.begin);
+    context.globalAlpha = 0.55;
+    if (!gnss.isEnvelope && (gnss.ring.end - first) * 1.5 < view.width) {
+      context.fillStyle = colours().muted;
+      drawDots(context, gnss.ring, k, first, view.x, y, 2);
+    } else {
+      context.strokeStyle = colours().muted;
+      context.lineWidth = 1;
+      drawEnvelope(context, gnss, k, first, view.x, y, 1);
+    }
+    context.globalAlpha = 1;
   }
 
   label(context, view, lane) {
