@@ -1,6 +1,7 @@
 """What the live page's frames say of a station's values."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -139,7 +140,32 @@ def test_innovations_stand_at_the_time_of_their_epoch(model):
     Feed(model).advance(2.0)
     times, values = model.traces["innovation"].rings[0].since(0)
     np.testing.assert_allclose(times, 0.085 + 0.1 * np.arange(20), atol=1e-6)
-    assert np.isfinite(values).all()
+    assert np.isfinite(values[:, :6]).all()
+    assert np.isnan(values[:, 6:]).all()  # a loose filter has no ranges
+
+
+def test_of_a_tight_filters_satellites_the_greatest_innovation_is_shown(model):
+    feed = Feed(model)
+    feed.advance(0.04)
+    innovation = np.full(70, np.nan, np.float32)
+    innovation[[6, 9, 37, 40]] = [1.0, -4.0, 0.5, 3.0]  # ranges of G01, G04, G32; a rate of G03
+    kept = {}
+    model.take_solution = lambda value: kept.setdefault("solution", value)
+    feed.block()
+    index = kept["solution"].sample_index[-1:]
+    del model.take_solution
+    model.take_solution(
+        replace(
+            kept["solution"],
+            innovation_sample_index=index,
+            innovation=innovation,
+            innovation_sd=np.full(70, 2.0, np.float32),
+            innovation_size=70,
+            innovation_accepted=np.ones(1, bool),
+        )
+    )
+    values = model.traces["innovation"].rings[0].since(0)[1]
+    assert values[-1, 6:].tolist() == [-2.0, 1.5]
 
 
 def test_latency_is_from_the_sources_sending_to_the_motions(model):
@@ -170,7 +196,5 @@ def test_an_idle_satellite_that_no_position_uses_is_not_listed(model):
     before = model.satellites.rows(0.0)
     assert len(before) == len(SATELLITES)
     epochs = model.satellites._seen["G03"].epochs
-    from dataclasses import replace
-
     model.take_tracking(replace(epochs, mode=int(TrackingMode.IDLE), sample_index=np.zeros(0)))
     assert [row["name"] for row in model.satellites.rows(0.0)] == sorted(SATELLITES[1:])

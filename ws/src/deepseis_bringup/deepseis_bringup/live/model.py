@@ -40,8 +40,11 @@ from deepseis_core.types import (
 
 MOTION: Final = tuple(f"{quantity}{axis}" for quantity in "avd" for axis in "ENU")
 """Channels of ground motion: acceleration, velocity, displacement, each east, north, up."""
-INNOVATIONS: Final = ("pN", "pE", "pD", "vN", "vE", "vD")
-"""Channels of the loose filter's innovations over their sigmas: position, velocity."""
+INNOVATIONS: Final = ("pN", "pE", "pD", "vN", "vE", "vD", "range", "rate")
+"""Channels of the filter's innovations over their sigmas: position, velocity; of a tight filter
+the greatest of all satellites' ranges and range rates."""
+VECTORS: Final = 6
+"""Innovations of position and velocity; those of satellites follow."""
 EVENTS: Final = 20
 """Events kept."""
 DIAGNOSTICS: Final = 100
@@ -154,7 +157,7 @@ class LiveModel:
         self._hear("filter")
         self._filter["name"] = InsFilter(solution.filter).name.lower().replace("_", "-")
         size = solution.innovation_size
-        if len(solution.innovation_accepted) and size >= len(INNOVATIONS):
+        if len(solution.innovation_accepted) and size >= VECTORS:
             self._accepted += int(np.count_nonzero(solution.innovation_accepted))
             self._rejected += int(np.count_nonzero(~solution.innovation_accepted))
             self._innovations(solution)
@@ -183,7 +186,10 @@ class LiveModel:
         self.newest_utc_ns = max(newest, self.newest_utc_ns)
         ratio = np.asarray(solution.innovation, float) / np.asarray(solution.innovation_sd, float)
         rows = np.reshape(ratio, (-1, solution.innovation_size))
-        self.traces["innovation"].push(times, rows[:, : len(INNOVATIONS)], 0.02)
+        half = (solution.innovation_size - VECTORS) // 2
+        ranges, rates = rows[:, VECTORS : VECTORS + half], rows[:, VECTORS + half :]
+        rows = np.column_stack([rows[:, :VECTORS], _greatest(ranges), _greatest(rates)])
+        self.traces["innovation"].push(times, rows, 0.02)
 
     def take_motion_state(self, value: MotionState, utc_ns: int) -> None:
         """Take whether the station is still, and how near the limits it is."""
@@ -293,6 +299,16 @@ class LiveModel:
 def _vectors(values: ArrayLike) -> FloatArray:
     """Return vectors as rows: messages hold them row major."""
     return np.reshape(np.asarray(values, float), (-1, 3))
+
+
+def _greatest(rows: FloatArray) -> FloatArray:
+    """Return of each row the value of the greatest size; NaN where there is none."""
+    out: FloatArray = np.full(len(rows), np.nan)
+    for k, row in enumerate(rows):
+        known = row[np.isfinite(row)]
+        if len(known):
+            out[k] = known[np.argmax(np.abs(known))]
+    return out
 
 
 def _scaled(values: FloatArray, unit: float) -> list[float | None]:

@@ -37,6 +37,11 @@ export function drawInnovations(canvas, store) {
     context.globalAlpha = 0.35;
     drawDots(context, ring, k + 3, view.first, view.x, y, 1.6);
   });
+  context.globalAlpha = 0.8;
+  context.fillStyle = colour.ink;
+  drawDots(context, ring, 6, view.first, view.x, y, 2.2);
+  context.globalAlpha = 0.35;
+  drawDots(context, ring, 7, view.first, view.x, y, 1.6);
   context.globalAlpha = 1;
   context.fillStyle = colour.muted;
   context.fillText("+3", 3, y(3) - 3);
