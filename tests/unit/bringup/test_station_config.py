@@ -167,6 +167,29 @@ def test_kinds_are_those_of_the_graph(tmp_path, recording):
     assert kinds | inertial | {"truth_aiding", "base_source", "ldv_source"} == set(KINDS)
 
 
+def test_the_base_by_network_or_file_serves_a_surveyed_antenna(tmp_path, recording):
+    text = f"source: {{file: {recording}}}\n"
+    place = "parameters: {pvt: {position_ecef: [4075580.0, 931854.0, 4801568.0]}}\n"
+    live = "base: {from: 'ntrip://me@caster.example/BASE0'}\n"
+    graph = read(tmp_path, text + place + live).graph(tmp_path)
+    specs = {spec.name: spec.parameters for spec in build_graph(graph)}
+    assert specs["base_source"]["base"] == "ntrip://me@caster.example/BASE0"
+    assert specs["base_source"]["sample_rate_hz"] == 4e6
+    assert specs["base_source"]["start_utc_ns"] > 1e18
+    assert specs["pvt"]["wait_base"]
+    known = live.replace("}", ", position_ecef: [1.0e6, 2.0e6, 6.0e6]}")
+    graph = read(tmp_path, text + place + known).graph(tmp_path)
+    assert graph.parameters["pvt"]["base_position_ecef"] == [1e6, 2e6, 6e6]
+    with pytest.raises(InputError, match="whose place is not known"):
+        read(tmp_path, text + live).graph(tmp_path)
+    with pytest.raises(InputError, match="holds a password"):
+        read(tmp_path, text + place + live.replace("me@", "me:secret@")).graph(tmp_path)
+    with pytest.raises(InputError, match=r"base\.rtcm: does not exist"):
+        read(tmp_path, text + place + "base: {from: base.rtcm}\n").graph(tmp_path)
+    with pytest.raises(InputError, match=r"base\.position_ecef"):
+        read(tmp_path, text + place + live.replace("}", ", position_ecef: [1, 2]}"))
+
+
 def test_the_imu_and_how_it_stands(tmp_path, recording):
     imu = (
         "imu: {file: imu.csv, grade: mti-g, imu_to_antenna: [0, 0, 1.5],"

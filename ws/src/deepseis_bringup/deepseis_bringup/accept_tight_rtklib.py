@@ -49,7 +49,10 @@ def _navigation(o: Observed) -> rtk.nav_t:
 
 
 def _options(mask_deg: float, *, ionosphere: bool) -> rtk.prcopt_t:
-    options = rtk.prcopt_default
+    """Return options of single points, in a structure of our own: defaults are one for all."""
+    options, default = rtk.prcopt_t(), rtk.prcopt_default
+    options.maxgdop, options.maxinno = default.maxgdop, default.maxinno
+    options.err[0], options.err[4] = 100.0, 1.0
     options.mode, options.navsys, options.nf = rtk.PMODE_SINGLE, rtk.SYS_GPS, 1
     options.ionoopt = rtk.IONOOPT_BRDC if ionosphere else rtk.IONOOPT_OFF
     options.tropopt = rtk.TROPOPT_SAAS

@@ -5,14 +5,20 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from deepseis_bringup.graph import GraphConfig
 from deepseis_core.errors import InputError
+from deepseis_core.sample_clock import SampleClock
+from deepseis_frontend.bag_topic import is_on
 from deepseis_frontend.if_bag import first_messages
+from deepseis_frontend.if_stream import IfSource
 from deepseis_frontend.imu_open import is_bag
-from deepseis_frontend.nodes.base_bag import TOPIC
+from deepseis_frontend.nodes.base_bag import REFERENCE_TOPIC, TOPIC
+from deepseis_frontend.nodes.base_open import base_events
+from deepseis_frontend.ntrip import address_of, is_address
 
 LOOKED_AT = 4000
 """Messages at the beginning of a bag."""
@@ -21,10 +27,45 @@ HEADER_LINES = 200
 
 def has_base(path: Path) -> bool:
     """Tell whether a bag begins with observations of a base among its messages."""
+    return _begins_with(path, TOPIC)
+
+
+def knows_its_base(path: Path) -> bool:
+    """Tell whether a bag begins with the place of a base among its messages."""
+    return _begins_with(path, REFERENCE_TOPIC)
+
+
+def _begins_with(path: Path, topic: str) -> bool:
     if not is_bag(path):
         return False
-    first = first_messages(path, LOOKED_AT)
-    return any(("/" + m.channel.topic).endswith("/" + TOPIC) for m in first)
+    return any(is_on(m.channel, topic) for m in first_messages(path, LOOKED_AT))
+
+
+def base_parameters(given: str, source: IfSource, start_utc_ns: int) -> dict[str, Any]:
+    """Return parameters of ``base_source`` for a base that is not in the source's bag.
+
+    Parameters
+    ----------
+    given : str
+        A file, or an address.
+    source : IfSource
+        The IF samples.
+    start_utc_ns : int
+        UTC of sample 0; its epochs are put among the samples by it [ns since 1970].
+
+    Raises
+    ------
+    InputError
+        There is no such file, it holds no base, the address is none, or the time is not known.
+    """
+    if is_address(given):
+        address_of(given)
+    else:
+        base_events(given, SampleClock(start_utc_ns, source.sample_rate_hz))
+    if not start_utc_ns:
+        hint = "--start-utc, or start_utc of the source"
+        raise InputError(given, "cannot be played: the time of the samples is not known", hint)
+    return {"sample_rate_hz": source.sample_rate_hz, "start_utc_ns": start_utc_ns}
 
 
 def base_position(bag: Path) -> list[float]:

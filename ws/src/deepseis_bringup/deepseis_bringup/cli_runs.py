@@ -63,6 +63,13 @@ def replay(
         bool, typer.Option("--without-imu", help="Leave the IMU aside: loops without aiding.")
     ] = False,
     coupling: Coupling = "",
+    base: Annotated[
+        str,
+        typer.Option(
+            help="Base station for RTK: RINEX, RTCM 3 or a bag; ntrip://user@host:port/MOUNT,"
+            " ntrips://..., tcp://host:port."
+        ),
+    ] = "",
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -93,6 +100,7 @@ def replay(
             one_process=not separate,
             record_if=not without_if,
             aiding="" if without_imu else "auto",
+            base_from=base,
             parameters=coupled(parameters_of(settings or ()), coupling),
             web=web_options(web, web_address, web_token_file, web_name),
         )
@@ -132,6 +140,13 @@ def process(
         ),
     ] = None,
     coupling: Coupling = "",
+    base: Annotated[
+        str,
+        typer.Option(
+            help="Base station for RTK: RINEX, RTCM 3 or a bag; ntrip://user@host:port/MOUNT,"
+            " ntrips://..., tcp://host:port."
+        ),
+    ] = "",
     for_align: Annotated[
         bool,
         typer.Option(
@@ -154,6 +169,8 @@ def process(
 
     Packing and rate come from a descriptor beside the file, <file>.yaml, or from the options
     (docs/formats.md lists presets and texts, and tells how an IMU's columns are described).
+    With --base and --position the antenna's displacement is solved by RTK too (gnss/rtk); the
+    password of an NTRIP caster is taken from DEEPSEIS_NTRIP_PASSWORD or ~/.netrc.
     Leaves a run folder as the demo does, without the samples in the bag.
 
     \b
@@ -187,6 +204,7 @@ def process(
         options = runs.RunOptions(
             record_if=False,
             imu_file=str(imu) if imu else "",
+            base_from=base,
             parameters=coupled(given, coupling),
             web=web_options(web, web_address, web_token_file, web_name),
         )

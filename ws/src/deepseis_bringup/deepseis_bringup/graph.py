@@ -18,6 +18,7 @@ TYPES: Mapping[str, tuple[str, str]] = {
     "imu/data_raw": ("sensor_msgs/msg/Imu", "stream"),
     "ldv/velocity": ("deepseis_msgs/msg/LdvVelocity", "stream"),
     "base/observations": ("deepseis_msgs/msg/Observations", "stream"),
+    "base/reference": ("deepseis_msgs/msg/Station", "latched"),
     "station": ("deepseis_msgs/msg/Station", "latched"),
     "truth": ("deepseis_msgs/msg/Truth", "stream"),
     "acquisition/request": ("deepseis_msgs/msg/AcquisitionRequest", "latched"),
@@ -62,7 +63,8 @@ class GraphConfig:
     ``one_process`` hosts all satellites together; otherwise each has its own process.
     ``aiding`` names who publishes aiding: empty, ``fusion`` (the inertial half of the graph), or
     ``truth`` (bench only).
-    ``base``: the source's bag holds a base station; it is played, and pvt solves against it.
+    ``base``: there is a base station; it is played, and pvt solves against it. It is in the
+    source's bag, or ``base_from`` says where: a bag, RINEX, RTCM 3 from a file, NTRIP or TCP.
     ``imu_file``: where the IMU is, if not in the bag that is the source.
     ``watched``: a `deepseis_bringup.watch.GraphWatch` looks on, and the source waits for it.
     ``parameters`` are overrides by node kind (``if_source``, ``tracker``, ``pvt``, ...).
@@ -75,6 +77,7 @@ class GraphConfig:
     one_process: bool = True
     aiding: str = ""
     base: bool = False
+    base_from: str = ""
     imu_file: str = ""
     record_dir: str = ""
     record_if: bool = True
@@ -151,7 +154,7 @@ def _trackers(config: GraphConfig) -> list[NodeSpec]:
 def _witnesses(config: GraphConfig) -> tuple[str, ...]:
     """Return the topics that precise positions wait for."""
     motion = ["motion/state"] * (config.aiding == "fusion")
-    return (*motion, *(["base/observations"] * config.base))
+    return (*motion, *(["base/observations", "base/reference"] * config.base))
 
 
 def precise_parameters(config: GraphConfig) -> dict[str, Any]:
@@ -346,10 +349,10 @@ def _base(config: GraphConfig) -> NodeSpec:
         "deepseis_frontend",
         "base_source",
         "base_source",
-        ("base/observations", "/diagnostics"),
+        ("base/observations", "base/reference", "/diagnostics"),
         (),
         "base_source",
-        {"file": config.source["file"]},
+        {"file": config.source["file"], "base": config.base_from},
     )
 
 

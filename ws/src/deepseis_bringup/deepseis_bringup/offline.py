@@ -17,8 +17,10 @@ from deepseis_core.gps_time import GpsTime
 from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_core.sample_clock import SampleClock, utc_ns_from_iso
 from deepseis_core.types import Aiding, IfBlock, Observations, Pvt
+from deepseis_frontend.base_events import BaseReference, utc_of
+from deepseis_frontend.base_player import BasePlayer
 from deepseis_frontend.if_open import open_source
-from deepseis_frontend.nodes.base_bag import BaseBag
+from deepseis_frontend.nodes.base_open import base_events
 from deepseis_pvt.assisted_start import assistance_of
 from deepseis_pvt.ephemeris_book import EphemerisBook
 from deepseis_pvt.observables import ObservablesConfig
@@ -117,8 +119,10 @@ class OfflineChain:
             assistance_of(known.get("position_ecef", ()), self.clock, troposphere=troposphere)
         )
         self.precise = _precise(config, known, self.pvt.book)
-        self._base = iter(BaseBag(chosen.file).epochs() if config.base else ())
-        self._next_base = next(self._base, None)
+        self._base: BasePlayer | None = None
+        if config.base:
+            events = base_events(config.base_from or chosen.file, self.clock)
+            self._base = BasePlayer(events, self.clock)
         self.inertial: InertialChain | None = None
         if config.aiding == "fusion":
             self.inertial = InertialChain(
@@ -160,10 +164,13 @@ class OfflineChain:
 
     def _based(self, through: int) -> Iterator[Output]:
         """Play the base through a sample; then epochs may go as far as their inputs do."""
-        while self._next_base is not None and self._next_base.sample_index <= through:
-            epoch, self._next_base = self._next_base, next(self._base, None)
-            yield Output("base/observations", epoch, _utc_ns(epoch))
-            self.precise.push_base(epoch)
+        for event in self._base.due(through) if self._base is not None else ():
+            if isinstance(event, BaseReference):
+                yield Output("base/reference", event, utc_of(event))
+                self.precise.push_base_place(event.position_ecef, event.utc_ns)
+            else:
+                yield Output("base/observations", event, utc_of(event))
+                self.precise.push_base(event)
         self.precise.base_valid(through)
         self.pvt.allowed_through = self.precise.allowed_through
 
@@ -272,6 +279,8 @@ def encode(output: Output) -> bytes:
     topic, value, utc_ns = output.topic, output.value, output.utc_ns
     if topic == "gnss/fix":
         return encode_message(fix_from_pvt(value, utc_ns))
+    if topic == "base/reference":
+        return codecs.STATION.encode(value.station(), utc_ns)
     if topic == "imu/data_raw":
         return encode_imu(value, utc_ns)
     if topic == "ins/solution":

@@ -12,10 +12,10 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from deepseis_bringup.rtcm_frame import Bits, frame
 from deepseis_bringup.rtcm_station import gps_number
 from deepseis_core.constants import L1_WAVELENGTH, SPEED_OF_LIGHT
 from deepseis_core.errors import InputError
+from deepseis_core.rtcm_frame import Bits, frame
 from deepseis_core.types import Lli, Observations
 
 MS: Final = SPEED_OF_LIGHT * 1e-3

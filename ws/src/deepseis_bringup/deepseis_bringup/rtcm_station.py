@@ -11,10 +11,10 @@ from typing import Final
 
 from numpy.typing import ArrayLike
 
-from deepseis_bringup.rtcm_frame import Bits, frame
 from deepseis_core.errors import InputError
 from deepseis_core.lnav import ura_index
 from deepseis_core.lnav_words import SUBFRAME_FIELDS, Field
+from deepseis_core.rtcm_frame import Bits, frame
 from deepseis_core.types import Ephemeris
 
 # Fields of 1019 behind the satellite, in its order; names, sizes and units are those of LNAV.

@@ -19,6 +19,7 @@ from deepseis_bringup.graph import GraphConfig, NodeSpec, build_graph
 from deepseis_core.errors import InputError
 from deepseis_core.mcap_scan import McapScan
 from deepseis_frontend.if_bag import bag_files, mcap_files
+from deepseis_frontend.ntrip import is_address
 
 PLACES = frozenset({"directory", "output_dir", "records"})
 """Parameters that tell where a run went, not what came out."""
@@ -89,8 +90,8 @@ def _place_in_graph(spec: NodeSpec) -> dict[str, Any]:
 
 def _without_places(parameters: Mapping[str, Any]) -> dict[str, Any]:
     kept = {name: value for name, value in parameters.items() if name not in PLACES}
-    for name in ("file", "imu_file"):
-        if kept.get(name):
+    for name in ("file", "imu_file", "base"):
+        if kept.get(name) and not is_address(str(kept[name])):
             kept[name] = Path(kept[name]).name
     return kept
 

@@ -14,7 +14,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-from deepseis_bringup.base import base_position, has_base
+from deepseis_bringup.base import base_parameters, base_position, has_base, knows_its_base
 from deepseis_bringup.graph import ALL_SATELLITES, GraphConfig, build_graph
 from deepseis_bringup.inertial import (
     assistance,
@@ -36,6 +36,7 @@ from deepseis_frontend.if_soapy import is_live
 from deepseis_frontend.if_stream import IfSource
 from deepseis_frontend.imu_file import Installation
 from deepseis_frontend.nodes.station_bag import read_station
+from deepseis_frontend.ntrip import is_address
 
 console = Console(stderr=True)
 
@@ -70,6 +71,7 @@ class RunOptions:
     record_if: bool = True
     aiding: str = ""
     base: bool = False
+    base_from: str = ""
     imu_file: str = ""
     installation: Installation | None = None
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -269,7 +271,12 @@ def graph_config(
         found = installed_parameters(Path(imu), source, options.installation, place)
     elif options.aiding == "fusion":
         found = inertial_parameters(Path(selection.file), source)
-    if found and selection.start_s:
+    if options.base_from:
+        if len(parameters.get("pvt", {}).get("position_ecef", ())) != 3:
+            hint = "--position, or parameters.pvt.position_ecef"
+            raise InputError("a base", "serves a surveyed antenna, whose place is not known", hint)
+        found["base_source"] = base_parameters(options.base_from, source, start_ns or 0)
+    if found and selection.start_s and "fusion" in found:
         found["fusion"]["start_s"] = selection.start_s
     for kind, known in found.items():
         parameters[kind] = {**known, **parameters.get(kind, {})}
@@ -283,13 +290,18 @@ def graph_config(
         mode=options.mode,
         one_process=options.one_process,
         aiding="fusion" if imu else options.aiding,
-        base=options.base,
+        base=options.base or bool(options.base_from),
+        base_from=_resolved(options.base_from),
         imu_file=str(Path(imu).resolve()) if imu else "",
         record_dir=str((folder / "bag").resolve()) if options.record else "",
         record_if=options.record_if,
         output_dir=str(folder.resolve()),
         parameters=parameters,
     )
+
+
+def _resolved(base: str) -> str:
+    return base if not base or is_address(base) else str(Path(base).resolve())
 
 
 def demo(
@@ -344,10 +356,9 @@ def replay(
             for kind in sorted(kinds)
         },
     )
-    places = {"position_ecef", "base_position_ecef"}
-    options = replace(
-        options, base=with_base and places <= options.parameters.get("pvt", {}).keys()
-    )
+    placed = options.parameters.get("pvt", {})
+    told = "base_position_ecef" in placed or knows_its_base(bag)
+    options = replace(options, base=with_base and told and "position_ecef" in placed)
     figures = run_recording(Selection(str(bag)), folder, options)
     with console.status("writing the report"):
         return write_report(folder, truth=_truth_beside(bag), title=title, extra=figures)

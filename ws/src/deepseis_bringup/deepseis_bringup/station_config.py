@@ -21,6 +21,7 @@ from deepseis_core.yaml_config import Entry, fill, read_yaml
 from deepseis_frontend.if_open import open_source
 from deepseis_frontend.if_soapy import is_live
 from deepseis_frontend.imu_file import Installation
+from deepseis_frontend.ntrip import is_address
 
 MODES = ("realtime", "lockstep")
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -28,6 +29,7 @@ ARCHIVE_KEYS = tuple(item.name for item in fields(ArchiveConfig))
 WEB_KEYS = tuple(item.name for item in fields(WebOptions))
 ALERT_KEYS = tuple(item.name for item in fields(AlertConfig))
 IMU_KEYS = ("file", *(item.name for item in fields(Installation)))
+BASE_KEYS = ("from", "position_ecef")
 SOURCE_KEYS = (*(item.name for item in fields(Selection)), "pace", "window_blocks")
 
 
@@ -50,6 +52,7 @@ class StationConfig:
     imu: Mapping[str, Any] = field(default_factory=dict)
     live_page: WebOptions | None = None
     alert: AlertConfig = field(default_factory=AlertConfig)
+    base: Mapping[str, Any] = field(default_factory=dict)
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
@@ -66,6 +69,9 @@ class StationConfig:
         parameters["if_source"] = {**pacing, **parameters.get("if_source", {})}
         if self.archive != ArchiveConfig():
             parameters["recorder"] = {**vars(self.archive), **parameters.get("recorder", {})}
+        if self.base.get("position_ecef"):
+            known = {"base_position_ecef": self.base["position_ecef"]}
+            parameters["pvt"] = {**known, **parameters.get("pvt", {})}
         if self.mode == "realtime":
             search = parameters.get("acquisition", {})
             parameters["acquisition"] = {"latency_slots": REALTIME_LATENCY_SLOTS, **search}
@@ -75,6 +81,7 @@ class StationConfig:
             one_process=self.one_process,
             record=self.record,
             record_if=self.record_if,
+            base_from=self.base.get("from", ""),
             imu_file=self.imu.get("file", ""),
             installation=self.imu.get("installation"),
             parameters=parameters,
@@ -137,6 +144,7 @@ def station_config(values: Any, path: Path) -> StationConfig:
         imu=check.imu(check.mapping(values.get("imu"), "imu", IMU_KEYS)),
         live_page=check.live_page(check.mapping(values.get("live_page"), "live_page", WEB_KEYS)),
         alert=check.alert(check.mapping(values.get("alert"), "alert", ALERT_KEYS)),
+        base=check.base(check.mapping(values.get("base"), "base", BASE_KEYS)),
         mode=str(values.get("mode", "realtime")),
         parameters=check.files(parameters),
         **{key: check.truth(values, key) for key in ("one_process", "record", "record_if")},
@@ -240,6 +248,16 @@ class _Checker:
         where = f"{self.path}: alert"
         entries = {key: _entry(value, where) for key, value in values.items()}
         return checked(fill(AlertConfig, Entry(entries, where)), where)
+
+    def base(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Return where the base comes from, and its place if it is given here."""
+        given = str(values.get("from") or "")
+        if not given:
+            return {}
+        place = [float(value) for value in values.get("position_ecef") or ()]
+        self.that(len(place) in (0, 3), f"base.position_ecef is {place}", "x, y, z in metres")
+        found = given if is_address(given) else str(self.beside(given))
+        return {"from": found, "position_ecef": place}
 
     def files(self, parameters: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
         """Make the files that parameters name relative to the configuration."""

@@ -11,10 +11,9 @@ import numpy as np
 
 from deepseis_core.errors import InputError
 from deepseis_core.imu_message import TYPE, decode_imu
-from deepseis_core.interface import RECORD, require_interface
-from deepseis_core.mcap_scan import Channel, McapScan
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import ImuSample
+from deepseis_frontend.bag_topic import bag_values, later
 from deepseis_frontend.if_bag import bag_files
 
 TOPIC: Final = "imu/data_raw"
@@ -60,29 +59,11 @@ class ImuBag:
         InputError
             Where they go back in time, or the bag is damaged.
         """
-        last = -1
-        for file in self.files:
-            scan = McapScan(file)
-            for message in scan.messages(self._is_wanted):
-                if RECORD in scan.metadata:
-                    require_interface(file, scan.metadata)
-                try:
-                    sample, _ = decode_imu(message.data, self.clock)
-                except ValueError as error:
-                    reason = f"holds an unreadable message on {message.channel.topic}: {error}"
-                    raise InputError(file, reason) from None
-                if sample.sample_index <= last:
-                    reason = f"IMU sample at {sample.sample_index} comes after that at {last}"
-                    raise InputError(file, reason, "the bag holds two IMUs, or two runs")
-                last = sample.sample_index
-                yield sample
-
-    def _is_wanted(self, channel: Channel) -> bool:
-        wanted = ("/" + channel.topic).endswith("/" + TOPIC)
-        if wanted and (channel.type_name != TYPE or channel.encoding != "cdr"):
-            reason = f"{channel.topic} is {channel.type_name} in {channel.encoding}, no Imu"
-            raise InputError(self.path, reason)
-        return wanted
+        topics = {TOPIC: (TYPE, lambda data: decode_imu(data, self.clock)[0])}
+        last, hint = -1, "the bag holds two IMUs, or two runs"
+        for sample in bag_values(self.path, self.files, topics):
+            last = later(self.path, "IMU sample", sample.sample_index, last, hint)
+            yield sample
 
 
 def _plain(rate_hz: float) -> float:

@@ -12,6 +12,7 @@ import numpy as np
 from deepseis_core.config import check, setting
 from deepseis_core.constants import NS_PER_S, NS_PER_WEEK, SPEED_OF_LIGHT
 from deepseis_core.geodesy import geodetic_from_ecef, rotation_enu_ecef
+from deepseis_core.gps_time import GpsTime
 from deepseis_core.types import Ephemeris, FloatArray, Observations, PrecisePosition, PreciseStatus
 from deepseis_pvt.ephemeris_book import EphemerisBook
 from deepseis_pvt.phase_displacement import PhaseConfig
@@ -39,10 +40,13 @@ class BaseConfig:
     """Settings of the base."""
 
     base_position_ecef: list[float] = setting(
-        [], "base's antenna, ECEF; empty: there is no base [m]"
+        [], "base's antenna, ECEF; empty: as the base says, if there is one [m]"
     )
     base_latency_s: float = setting(
         0.2, "base observations are used from that long after their epoch on [s]", low=0.0, high=60
+    )
+    base_lost_s: float = setting(
+        5.0, "a base without an epoch for so long is said to be lost [s]", low=0.2, high=600.0
     )
 
 
@@ -65,7 +69,8 @@ class RtkPositions:
     config : RtkConfig
         Settings of the solution.
     base : BaseConfig
-        Settings of the base.
+        Settings of the base. Where they do not say where it is, it has to say so itself
+        (`push_place`); until then there is no position.
     sample_rate_hz : float
         Nominal IF rate [Hz].
     phase : PhaseConfig, optional
@@ -86,22 +91,37 @@ class RtkPositions:
         self.antenna: FloatArray = np.array(antenna_ecef, np.float64)
         lat, lon, _ = geodetic_from_ecef(self.antenna)
         self._axes = rotation_enu_ecef(lat, lon)
-        self.book, self.config = book, config
-        self.solver = RtkSolver(config, np.array(base.base_position_ecef, np.float64))
+        self.book, self.config, self.base = book, config, base
+        self.solver: RtkSolver | None = None
+        self._tied, self._started, self._in_row = False, False, 0
+        self._offset, self._rested = np.zeros(3), 0.0
+        self._given = len(base.base_position_ecef) == 3
+        self._places: deque[tuple[int, FloatArray]] = deque()
+        if self._given:
+            self._stand(np.array(base.base_position_ecef, np.float64))
         self.latency = round(base.base_latency_s * sample_rate_hz)
         self._navigation, self._orbits = Navigation(), list[Ephemeris]()
         self._klobuchar: FloatArray | None = None
         self._waiting: deque[Observations] = deque()
         self._base: Observations | None = None
         self._base_valid = -1
-        self._tied, self._started, self._in_row = False, False, 0
-        self._offset, self._rested = np.zeros(3), 0.0
+        self.base_age_s = float("nan")
         self.counts = {
             "rtk_fix": 0,
             "rtk_float": 0,
             "rtk_none": 0,
             "rtk_tied": 0,
         }
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong with the base at the newest epoch; empty if nothing is."""
+        if self.solver is None and self._base is not None:
+            return "the base does not say where it is"
+        if not self.base_age_s <= self.base.base_lost_s:
+            known = self._base is not None
+            return f"base lost {self.base_age_s:.0f} s ago" if known else "no base yet"
+        return ""
 
     @property
     def allowed_through(self) -> int:
@@ -111,6 +131,11 @@ class RtkPositions:
     def push_base(self, observations: Observations) -> None:
         """Take an epoch of the base, in order."""
         self._waiting.append(observations)
+
+    def push_place(self, position_ecef: FloatArray, utc_ns: int) -> None:
+        """Take where the base is for its epochs from a UTC on [m ECEF, ns since 1970]."""
+        if not self._given:
+            self._places.append((utc_ns, np.array(position_ecef, np.float64)))
 
     def base_valid(self, through: int) -> None:
         """All of the base's epochs through this sample have been pushed."""
@@ -138,9 +163,14 @@ class RtkPositions:
         o = observations
         while self._waiting and self._waiting[0].sample_index <= o.sample_index - self.latency:
             self._base = self._waiting.popleft()
+        if self._base is not None:
+            later = GpsTime(o.week, o.tow_ns)
+            base_time = GpsTime(self._base.week, self._base.tow_ns)
+            self.base_age_s = later.diff_ns(base_time) / NS_PER_S
+        self._take_place()
         self._tie(rest)
         solution = None
-        if self._base is not None:
+        if self._base is not None and self.solver is not None:
             self._find_orbits(o)
             room = self.solver.room
             rover = fill_observations(o, ROVER, room, 0, slipped)
@@ -158,11 +188,32 @@ class RtkPositions:
             return value
         return replace(value, covariance_enu=value.covariance_enu + stress)
 
+    def _take_place(self) -> None:
+        """Take the base to be where it says that it is, for its newest epoch."""
+        if self._base is None or not self._places:
+            return
+        utc_ns = GpsTime(self._base.week, self._base.tow_ns).to_utc_ns()
+        found = None
+        while self._places and self._places[0][0] <= utc_ns:
+            found = self._places.popleft()[1]
+        if found is not None:
+            self._stand(found)
+
+    def _stand(self, position: FloatArray) -> None:
+        """Solve against a base at a place from now on; what was known of another is forgotten."""
+        if self.solver is not None:
+            self.solver.close()
+        self.solver = RtkSolver(self.config, position)
+        self._tied, self._started, self._in_row = False, False, 0
+        self._offset, self._rested = np.zeros(3), 0.0
+
     def _tie(self, rest: FloatArray | None) -> None:
         """Hold a resting antenna where it is until its ambiguities are known.
 
         ``_in_row`` counts epochs that are fixed while it is held, and not fixed while it is free.
         """
+        if self.solver is None:
+            return
         enough = self._in_row >= (TIED_EPOCHS if self._tied else FLOATING_EPOCHS)
         if self._tied and (enough or rest is None):
             self.solver.tie(None)
@@ -255,8 +306,10 @@ def rtk_positions(
     base: BaseConfig,
     sample_rate_hz: float,
     phase: PhaseConfig,
+    *,
+    is_there: bool,
 ) -> RtkPositions | None:
     """Return what solves against a base; None without one, or without a surveyed antenna."""
-    if len(position_ecef) != 3 or len(base.base_position_ecef) != 3:
+    if len(position_ecef) != 3 or not (is_there or len(base.base_position_ecef) == 3):
         return None
     return RtkPositions(np.array(position_ecef), book, config, base, sample_rate_hz, phase)

@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from deepseis_core.types import MotionState, Observations, PrecisePosition, PreciseStatus
+from deepseis_core.types import (
+    FloatArray,
+    MotionState,
+    Observations,
+    PrecisePosition,
+    PreciseStatus,
+)
 from deepseis_pvt.ephemeris_book import EphemerisBook
 from deepseis_pvt.phase_displacement import PhaseConfig
 from deepseis_pvt.precise import PhasePositions, PreciseConfig, phase_positions
@@ -51,6 +57,11 @@ class PrecisePositions:
         counts = {} if self.phase is None else dict(self.phase.statistics)
         return counts | ({} if self.rtk is None else self.rtk.counts)
 
+    @property
+    def base_trouble(self) -> str:
+        """What is wrong with the base, in words; empty if nothing is, or the graph has none."""
+        return self.rtk.trouble if self.rtk is not None and self.wait_base else ""
+
     def push_motion(self, state: MotionState) -> None:
         """Take a decision on motion, in order."""
         if self.phase is not None:
@@ -65,6 +76,11 @@ class PrecisePositions:
         """Take an epoch of the base, in order."""
         if self.rtk is not None:
             self.rtk.push_base(observations)
+
+    def push_base_place(self, position_ecef: FloatArray, utc_ns: int) -> None:
+        """Take where the base is for its epochs from a UTC on."""
+        if self.rtk is not None:
+            self.rtk.push_place(position_ecef, utc_ns)
 
     def base_valid(self, through: int) -> None:
         """All of the base's epochs through this sample have been pushed."""
@@ -100,6 +116,8 @@ def precise_positions(
     """Return what solves for precise positions, as far as antenna and base are known."""
     return PrecisePositions(
         phase_positions(position_ecef, book, config, phase, reference, spp),
-        rtk_positions(position_ecef, book, rtk, base, sample_rate_hz, phase),
+        rtk_positions(
+            position_ecef, book, rtk, base, sample_rate_hz, phase, is_there=config.wait_base
+        ),
         config.wait_base,
     )

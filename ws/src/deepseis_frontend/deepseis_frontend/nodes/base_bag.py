@@ -1,19 +1,21 @@
-"""A base station's observations out of a recorded bag (MCAP), on the clock of the IF samples."""
+"""A base station out of a recorded bag (MCAP), on the clock of the IF samples."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from deepseis_core.errors import InputError
-from deepseis_core.interface import RECORD, require_interface
-from deepseis_core.mcap_scan import Channel, McapScan
+from deepseis_core.geodesy import ecef_from_enu
 from deepseis_core.types import Observations
+from deepseis_frontend.bag_topic import bag_values, later
+from deepseis_frontend.base_events import BaseEvent, BaseReference, in_order
 from deepseis_frontend.if_bag import bag_files
 
 TOPIC: Final = "base/observations"
 TYPE: Final = "deepseis_msgs/msg/Observations"
+REFERENCE_TOPIC: Final = "base/reference"
+REFERENCE_TYPE: Final = "deepseis_msgs/msg/Station"
 
 
 class BaseBag:
@@ -34,37 +36,38 @@ class BaseBag:
         self.path = Path(path)
         self.files = bag_files(path)
 
-    def epochs(self) -> Iterator[Observations]:
-        """Yield the base's epochs as recorded; none if there is no base in the bag.
+    def events(self) -> Iterator[BaseEvent]:
+        """Yield references and epochs as recorded; none if there is no base in the bag.
 
         Raises
         ------
         InputError
-            Where they go back in time, or the bag is damaged.
+            Where epochs go back in time, or the bag is damaged.
         """
-        from deepseis_core.ros import codecs
-        from deepseis_core.ros.cdr import CdrError
+        topics: dict[str, tuple[str, Any]] = {
+            TOPIC: (TYPE, _epoch),
+            REFERENCE_TOPIC: (REFERENCE_TYPE, _reference),
+        }
+        last, hint = -1, "the bag holds two bases, or two runs"
+        for event in in_order(bag_values(self.path, self.files, topics)):
+            if isinstance(event, Observations):
+                last = later(self.path, "base epoch", event.sample_index, last, hint)
+            yield event
 
-        last = -1
-        for file in self.files:
-            scan = McapScan(file)
-            for message in scan.messages(self._is_wanted):
-                if RECORD in scan.metadata:
-                    require_interface(file, scan.metadata)
-                try:
-                    epoch: Observations = codecs.OBSERVATIONS.decode(bytes(message.data))[0]
-                except CdrError as error:
-                    reason = f"holds an unreadable message on {message.channel.topic}: {error}"
-                    raise InputError(file, reason) from None
-                if epoch.sample_index <= last:
-                    reason = f"base epoch at {epoch.sample_index} comes after that at {last}"
-                    raise InputError(file, reason, "the bag holds two bases, or two runs")
-                last = epoch.sample_index
-                yield epoch
+    def epochs(self) -> Iterator[Observations]:
+        """Yield the epochs alone."""
+        return (event for event in self.events() if isinstance(event, Observations))
 
-    def _is_wanted(self, channel: Channel) -> bool:
-        wanted = ("/" + channel.topic).endswith("/" + TOPIC)
-        if wanted and (channel.type_name != TYPE or channel.encoding != "cdr"):
-            reason = f"{channel.topic} is {channel.type_name} in {channel.encoding}"
-            raise InputError(self.path, reason, f"not {TYPE}")
-        return wanted
+
+def _epoch(data: bytes) -> Observations:
+    from deepseis_core.ros import codecs
+
+    return codecs.OBSERVATIONS.decode(data)[0]
+
+
+def _reference(data: bytes) -> BaseReference:
+    from deepseis_core.ros import codecs
+
+    station, utc_ns = codecs.STATION.decode(data)
+    place = ecef_from_enu(station.antenna_lever_arm, station.monument_ecef)
+    return BaseReference(utc_ns, place, station.name)

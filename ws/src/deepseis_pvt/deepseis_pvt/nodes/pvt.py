@@ -11,6 +11,7 @@ from sensor_msgs.msg import NavSatFix
 
 from deepseis_core.config import setting
 from deepseis_core.errors import InputError
+from deepseis_core.geodesy import ecef_from_enu
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_core.ros import codecs, diagnostics, qos
@@ -24,7 +25,7 @@ from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.ros.realtime import RealtimeReport
 from deepseis_core.ros.steady import every
 from deepseis_core.sample_clock import SampleClock
-from deepseis_core.types import Ephemeris, MotionState, TrackingEpochs
+from deepseis_core.types import Ephemeris, MotionState, Station, TrackingEpochs
 from deepseis_core.types import Observations as ObservationsValue
 from deepseis_core.types import Pvt as PvtValue
 from deepseis_msgs.msg import Observations, PrecisePosition, Pvt, Watermark
@@ -63,7 +64,7 @@ class NodeConfig:
 
 
 class PvtNode(Node):
-    """In: tracking/<sat>/epochs, gnss/ephemeris, motion/state, base/observations.
+    """In: tracking/<sat>/epochs, gnss/ephemeris, motion/state, base/observations, base/reference.
 
     Out: gnss/observations, gnss/pvt, gnss/fix, gnss/precise, gnss/rtk.
     """
@@ -126,6 +127,7 @@ class PvtNode(Node):
         if precise.wait_base:
             self.displacement[RTK_TOPIC] = publish_on(RTK_TOPIC, PrecisePosition, qos.STREAM)
             subscribe(self, codecs.OBSERVATIONS, "base/observations", self.on_base, qos.STREAM)
+            subscribe(self, codecs.STATION, "base/reference", self.on_base_place, qos.LATCHED)
         self.flow.follow(self.members, self.on_watermark)
         self.realtime = None if self.flow.lockstep else RealtimeReport(self, "pvt")
         if not self.flow.lockstep:
@@ -173,6 +175,14 @@ class PvtNode(Node):
     def on_base(self, observations: ObservationsValue, _utc_ns: int) -> None:
         """Take an epoch of the base."""
         self.precise.push_base(observations)
+        self.witnesses[BASE].received()
+        self.work()
+        self.finish_if_ended()
+
+    def on_base_place(self, station: Station, utc_ns: int) -> None:
+        """Take where the base is."""
+        place = ecef_from_enu(station.antenna_lever_arm, station.monument_ecef)
+        self.precise.push_base_place(place, utc_ns)
         self.witnesses[BASE].received()
         self.work()
         self.finish_if_ended()
@@ -263,6 +273,8 @@ class PvtNode(Node):
         counts |= self.precise.statistics
         text = f"{counts['positions']} positions" if self.engine.clock else "no fix yet"
         level = diagnostics.OK if self.engine.clock and not counts["forced"] else diagnostics.WARN
+        if self.precise.base_trouble:
+            level, text = diagnostics.WARN, f"{text}; {self.precise.base_trouble}"
         self.diagnostics.publish(diagnostics.encoded("pvt", level, text, counts, utc_ns))
         if self.realtime is not None:
             self.realtime.publish(utc_ns)

@@ -84,3 +84,56 @@ def frame(bits: Bits) -> bytes:
         raise InputError("RTCM", f"a message of {len(payload)} bytes is too long")
     body = bytes([PREAMBLE]) + len(payload).to_bytes(2, "big") + payload
     return body + crc24q(body).to_bytes(3, "big")
+
+
+class Deframer:
+    """Finds the frames in a stream of bytes that may be cut or damaged anywhere.
+
+    A checksum that does not fit costs one byte, not a frame's length: a preamble that was none
+    hides nothing that follows.
+
+    Attributes
+    ----------
+    damaged : int
+        Preambles whose checksum did not fit.
+    skipped : int
+        Bytes that belonged to no frame.
+
+    Examples
+    --------
+    >>> deframer = Deframer()
+    >>> whole = frame(Bits().unsigned(1005, 12))
+    >>> [item == whole for item in deframer.push(b"noise" + whole[:3])], deframer.skipped
+    ([], 5)
+    >>> [item == whole for item in deframer.push(whole[3:] + whole)]
+    [True, True]
+    """
+
+    def __init__(self) -> None:
+        self.damaged = self.skipped = 0
+        self._rest = bytearray()
+
+    def push(self, data: bytes) -> list[bytes]:
+        """Take the next bytes; return the frames that are whole now."""
+        rest, found, at = self._rest, list[bytes](), 0
+        rest += data
+        while True:
+            start = rest.find(PREAMBLE, at)
+            self.skipped += (len(rest) if start < 0 else start) - at
+            at = len(rest) if start < 0 else start
+            if len(rest) - at < 3:
+                break
+            length = int.from_bytes(rest[at + 1 : at + 3], "big")
+            end = at + 3 + length + 3
+            if length <= MAX_PAYLOAD and end > len(rest):
+                break
+            whole = bytes(rest[at:end])
+            if length <= MAX_PAYLOAD and crc24q(whole) == 0:
+                found.append(whole)
+                at = end
+            else:
+                self.damaged += 1
+                self.skipped += 1
+                at += 1
+        del rest[:at]
+        return found
