@@ -137,6 +137,8 @@ class FusionBench:
             engine.push_pvt(pvt)
         for position in given["precise"]:
             engine.push_precise(position)
+        for position in given.get("rtk", ()):
+            engine.push_rtk(position)
         if isinstance(engine, TightFusionEngine):
             for epoch in given["observations"]:
                 engine.push_observations(epoch)

@@ -13,6 +13,7 @@ from deepseis_bringup import (
     cli_commission,
     cli_convert,
     cli_gravimetry,
+    cli_rtk,
     cli_runs,
     cli_sim,
     cli_station,
@@ -97,6 +98,7 @@ for commands in (
     cli_gravimetry,
     cli_align,
     cli_commission,
+    cli_rtk,
     cli_accept,
 ):
     commands.register(app)

@@ -311,10 +311,15 @@ def _inertial(config: GraphConfig) -> list[NodeSpec]:
         ),
         (
             *("imu/data_raw", "motion/state", "gnss/pvt", "gnss/precise", "gnss/ephemeris"),
+            *(["gnss/rtk"] * config.base),
             *INPUTS_OF_COUPLINGS.get(config.coupling, ()),
         ),
         "fusion",
-        {"satellites": list(config.satellites), "sample_rate_hz": config.sample_rate_hz},
+        {
+            "satellites": list(config.satellites),
+            "sample_rate_hz": config.sample_rate_hz,
+            "wait_rtk": config.base,
+        },
     )
     events = NodeSpec(
         "seismic_event",

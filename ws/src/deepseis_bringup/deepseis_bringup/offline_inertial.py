@@ -108,6 +108,8 @@ class InertialChain:
             self.push_pvt(value)
         elif topic == "gnss/precise":
             self.fusion.push_precise(value)
+        elif topic == "gnss/rtk":
+            self.fusion.push_rtk(value)
         elif topic == "gnss/observations" and isinstance(self.fusion, TightFusionEngine):
             self.fusion.push_observations(value)
 

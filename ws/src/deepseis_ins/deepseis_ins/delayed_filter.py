@@ -5,8 +5,8 @@ regular samples and at the epochs of GNSS, in order:
 
 - at rest: zero velocity, zero turn and zero displacement since the rest began. GNSS is not used
   but compared with what is known: its slow errors are learnt (`gnss_offset`);
-- moving, or not known to be at rest: GNSS without its slow errors, precise positions where there
-  are any, else those of PVT (`gnss_updates`).
+- moving, or not known to be at rest: GNSS without its slow errors, positions against a base where
+  there are any, else precise ones of the station alone, else those of PVT (`gnss_updates`).
 
 Its positions are relative to the place where it rested last, to which the slow errors are
 compared; how uncertain that place is, is kept beside the filter and added for those who ask.
@@ -32,6 +32,7 @@ from deepseis_ins.filter_steps import (
     POSITION,
     PRECISE,
     REGULAR,
+    RTK,
     GnssUpdate,
     Rest,
     Step,
@@ -104,6 +105,7 @@ class DelayedFilter:
         self._undoable = round(config.undo_s * sample_rate_hz)
         self._pvts: list[Pvt] = []
         self._precise: list[PreciseEpoch] = []
+        self._rtk: list[PreciseEpoch] = []
         self.smoother: FusionSmoother | None = None
         if config.smoothing_lag_s > 0.0:
             self.smoother = FusionSmoother(config.smoothing_lag_s, history.dt)
@@ -168,6 +170,10 @@ class DelayedFilter:
         """Take a precise position that counts from now on."""
         self._push(self._precise, epoch, PRECISE)
 
+    def push_rtk(self, epoch: PreciseEpoch) -> None:
+        """Take a position against a base that counts from now on."""
+        self._push(self._rtk, epoch, RTK)
+
     def _push(self, epochs: list[Any], epoch: Any, kind: int) -> None:
         first = self._steps[0]
         if (epoch.sample_index, kind) <= (first.sample_index, first.kind):
@@ -205,7 +211,7 @@ class DelayedFilter:
             self._carry(self.history.number_at(sample))
             still = self._settle(sample)
             self._beside_gnss(still=still)
-            if self.oscillator is not None and isinstance(epoch, Pvt | PreciseEpoch):
+            if self.oscillator is not None and kind in (PRECISE, POSITION):
                 self.oscillator.take(epoch, self.history, still=still)
             if epoch is not None:
                 update = self._measured(epoch, still=still)
@@ -233,7 +239,7 @@ class DelayedFilter:
 
     def _waiting(self) -> Sequence[tuple[int, list[Any]]]:
         """Return kinds of epochs, and those that have been pushed."""
-        return (PRECISE, self._precise), (POSITION, self._pvts)
+        return (RTK, self._rtk), (PRECISE, self._precise), (POSITION, self._pvts)
 
     def _beside_gnss(self, *, still: bool) -> None:
         """Work in what a mode has beside GNSS and constraints; here nothing."""
@@ -312,8 +318,9 @@ class DelayedFilter:
     def _measured(self, epoch: Epoch, *, still: bool) -> GnssUpdate | None:
         """Learn from an epoch of GNSS at rest, or use it."""
         gnss, offsets = self.gnss, self.offsets
-        precise = isinstance(epoch, PreciseEpoch)
-        dt = self._interval_before(self._precise if precise else self._pvts, epoch)
+        alone = self._precise if isinstance(epoch, PreciseEpoch) else self._pvts
+        against_base = isinstance(epoch, PreciseEpoch) and epoch.against_base
+        dt = self._interval_before(self._rtk if against_base else alone, epoch)
         if still:
             assert self.rest is not None
             place = self.rest.antenna_ecef
@@ -323,6 +330,9 @@ class DelayedFilter:
                 self.offsets = gnss.learn(offsets, epoch, place, dt)
             return None
         if isinstance(epoch, PreciseEpoch):
+            if not against_base and gnss.follows_rtk(offsets, epoch.sample_index):
+                self.offsets = gnss.compare(offsets, epoch, self.row, dt)
+                return None
             used = gnss.use_precise(offsets, epoch, self.row, dt)
         else:
             used = gnss.use(offsets, epoch, self.row, dt)

@@ -35,7 +35,7 @@ class Rest:
     C_nb: FloatArray
 
 
-REGULAR, PRECISE, POSITION, RANGES = range(4)
+REGULAR, RTK, PRECISE, POSITION, RANGES = range(5)
 """Kinds of steps, in their order at the same sample."""
 
 

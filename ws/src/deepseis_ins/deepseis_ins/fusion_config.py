@@ -105,6 +105,22 @@ class FusionConfig:
         25, "refused in a row, then they have jumped and are compared anew", low=2, high=10_000
     )
 
+    rtk: bool = setting(True, "use positions against a base, before all others")
+    rtk_base_age_s: float = setting(
+        5.0, "oldest base of a position that is used [s]", low=0.1, high=600.0
+    )
+    rtk_correlation_s: float = setting(
+        0.03, "correlation time of their noise: the base's stays for its interval [s]",
+        low=0.0, high=10.0,
+    )  # fmt: skip
+    rtk_growth: float = setting(
+        1e-4, "random walk of their slow error [m/sqrt(s)]", low=0.0, high=1.0
+    )
+    rtk_return_s: float = setting(
+        10.0, "what crept without the base is worked off in that time once it is back [s]",
+        low=0.1, high=1e4,
+    )  # fmt: skip
+
     missing_mean_s: float = setting(
         2.0, "missing IMU data are taken as the mean over this before [s]", low=0.05, high=60.0
     )

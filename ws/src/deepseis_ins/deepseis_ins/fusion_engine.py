@@ -29,6 +29,7 @@ from deepseis_core.types import (
     Aiding,
     Displacement,
     PrecisePosition,
+    PreciseStatus,
     Pvt,
     PvtStatus,
     Station,
@@ -196,6 +197,8 @@ class FusionEngine(FusionInputs):
             self._take_pvt(pvt)
         for position in self.due_precise(begin - self.delay):
             self._take_precise(position)
+        for position in self.due_rtk(begin - self.delay):
+            self._take_rtk(position)
 
     def _take_pvt(self, pvt: Pvt) -> None:
         if pvt.status == PvtStatus.NONE:
@@ -222,6 +225,15 @@ class FusionEngine(FusionInputs):
             self._unspaced = []
         if self.config.precise and self.delayed is not None:
             self.delayed.push_precise(epoch)
+
+    def _take_rtk(self, position: PrecisePosition) -> None:
+        """Take a position against a base, if its integers are known and the base is not old."""
+        fixed = position.status == PreciseStatus.FIX
+        if not (fixed and position.base_age <= self.config.rtk_base_age_s):
+            return
+        epoch = PreciseEpoch.of(position, self.site.antenna_ecef, self.site.C_enu_e)
+        if epoch is not None and self.config.rtk and self.delayed is not None:
+            self.delayed.push_rtk(epoch)
 
     def _work(self, horizon: int) -> list[GnssUpdate]:
         """Bring the filter to D before the span; start it if the station has stood still."""

@@ -61,6 +61,7 @@ class FusionInputs:
         self.book = SatelliteBook(config.elevation_mask_deg, sample_rate_hz)
         self._pvts: list[Pvt] = []
         self._precise: list[PrecisePosition] = []
+        self._rtk: list[PrecisePosition] = []
         self._through = dict.fromkeys(("samples", "imu", "motion", "pvt"), -1)
 
     def begin_at(self, sample: int) -> None:
@@ -83,6 +84,10 @@ class FusionInputs:
     def push_precise(self, position: PrecisePosition) -> None:
         """Take a precise position, in any order."""
         insort(self._precise, position, key=_sample_index)
+
+    def push_rtk(self, position: PrecisePosition) -> None:
+        """Take a position against a base, in any order."""
+        insort(self._rtk, position, key=_sample_index)
 
     def push_motion(self, state: MotionState) -> None:
         """Take a decision on motion, in any order."""
@@ -140,6 +145,10 @@ class FusionInputs:
     def due_precise(self, horizon: int) -> list[PrecisePosition]:
         """Return precise positions up to a sample that have not been returned yet, in order."""
         return _taken(self._precise, horizon)
+
+    def due_rtk(self, horizon: int) -> list[PrecisePosition]:
+        """Return positions against a base up to a sample, in order, each once."""
+        return _taken(self._rtk, horizon)
 
     def _valid(self, what: str, through: int) -> None:
         self._through[what] = max(self._through[what], through)

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from deepseis_core.types import FloatArray, PrecisePosition, PreciseStatus, Pvt, PvtStatus
+
+RTK: Final = "rtk"
+"""Kinds of positions against a base begin with it."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,11 @@ class PreciseEpoch:
     common_ecef: FloatArray
     clock_bias: float
     clock_bias_sd: float
+
+    @property
+    def against_base(self) -> bool:
+        """Whether it is of RTK."""
+        return self.kind.startswith(RTK)
 
     @classmethod
     def of(

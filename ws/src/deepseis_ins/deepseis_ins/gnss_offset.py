@@ -17,11 +17,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from deepseis_core.types import FloatArray
 from deepseis_ins.fusion_config import FusionConfig
+from deepseis_ins.gnss_epochs import RTK
 
 UNKNOWN_SD = 10.0
 """Of the slow error of positions before it is known [m]."""
@@ -171,12 +173,13 @@ def velocity_error(config: FusionConfig) -> SlowError:
     )
 
 
-def precise_error(config: FusionConfig) -> SlowError:
-    """Return what is known of the slow error of precise positions at the start."""
+def precise_error(config: FusionConfig, kind: str) -> SlowError:
+    """Return what is known of the slow error of a kind of precise positions at the start."""
+    against_base = kind.startswith(RTK)
     return SlowError(
         config.precise_noise_share,
-        config.precise_correlation_s,
-        config.precise_growth,
+        config.rtk_correlation_s if against_base else config.precise_correlation_s,
+        config.rtk_growth if against_base else config.precise_growth,
         config.offset_correlation_s,
         config.precise_offset_sd**2 * np.eye(3),
         np.zeros(3),
@@ -184,8 +187,16 @@ def precise_error(config: FusionConfig) -> SlowError:
     )
 
 
-def _nothing() -> Mapping[str, SlowError]:
+def _nothing() -> Mapping[str, Any]:
     return MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Refused:
+    """Precise positions of a kind that have been refused in a row, and the sum of their errors."""
+
+    count: int = 0
+    off: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -202,12 +213,15 @@ class GnssOffsets:
         Of the precise position last used since the station moved; empty: none.
     used_at : int
         Its sample index.
-    rejected : int
-        Precise positions refused since.
-    off : ndarray, shape (3,)
-        Sum of what these were off by, ECEF [m].
+    refused : mapping of str to Refused
+        Precise positions refused since one of their kind was used.
     stated : ndarray, shape (3, 3)
         Covariance of the creeping part, as the one last used says it, ECEF [m^2].
+    inherited : mapping of str to ndarray, shape (3, 3)
+        Covariance of what a kind was compared with since the station moved, less what it stated
+        itself at that moment, ECEF [m^2].
+    home : mapping of str to SlowError
+        What was known of a kind at rest, where it has been referred to another since.
     """
 
     position: SlowError
@@ -215,9 +229,10 @@ class GnssOffsets:
     precise: Mapping[str, SlowError] = field(default_factory=_nothing)
     kind: str = ""
     used_at: int = -1
-    rejected: int = 0
-    off: FloatArray = field(default_factory=lambda: np.zeros(3))
+    refused: Mapping[str, Refused] = field(default_factory=_nothing)
     stated: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    inherited: Mapping[str, FloatArray] = field(default_factory=_nothing)
+    home: Mapping[str, SlowError] = field(default_factory=_nothing)
 
     @classmethod
     def at_start(cls, config: FusionConfig) -> GnssOffsets:
@@ -226,16 +241,24 @@ class GnssOffsets:
 
     def with_precise(self, kind: str, error: SlowError, **changes: object) -> GnssOffsets:
         """Return the same with another slow error of a kind of precise positions."""
-        precise = MappingProxyType({**self.precise, kind: error})
-        return replace(self, precise=precise, **changes)  # type: ignore[arg-type]
+        return replace(self, precise=put(self.precise, kind, error), **changes)  # type: ignore[arg-type]
 
     def followed_none(self) -> GnssOffsets:
         """Return the same with no precise position followed."""
-        return replace(self, kind="", used_at=-1, rejected=0, off=np.zeros(3),
-                       stated=np.zeros((3, 3)))  # fmt: skip
+        return GnssOffsets(self.position, self.velocity, self.precise)
 
     def crept(self, seconds: float) -> FloatArray:
         """Return the covariance, ECEF, by which what the filter follows may have crept."""
         if not self.kind:
             return np.zeros((3, 3))
-        return self.stated + self.precise[self.kind].covariance_at(seconds)
+        error = self.precise[self.kind].covariance_at(seconds)
+        if self.kind not in self.inherited:
+            return self.stated + error
+        values, vectors = np.linalg.eigh(self.stated + self.inherited[self.kind])
+        return error + (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+
+def put(mapping: Mapping[str, Any], key: str, value: Any) -> Mapping[str, Any]:
+    """Return a mapping with another value of a key; None: without it."""
+    items = {**mapping, key: value}
+    return MappingProxyType({k: v for k, v in items.items() if v is not None})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -15,11 +16,20 @@ from deepseis_ins.filter_steps import (
     position_covariance_ecef,
 )
 from deepseis_ins.fusion_config import FusionConfig
-from deepseis_ins.gnss_epochs import PreciseEpoch, has_velocity
-from deepseis_ins.gnss_offset import GnssOffsets, precise_error
+from deepseis_ins.gnss_epochs import RTK, PreciseEpoch, has_velocity
+from deepseis_ins.gnss_offset import (
+    GnssOffsets,
+    Refused,
+    SlowError,
+    precise_error,
+    put,
+)
 from deepseis_ins.imu_history import ImuHistory
 from deepseis_ins.loose import Innovation, LooseFilter
 from deepseis_ins.measurements import Measurement
+
+HOME_GATE: Final = 16.0
+"""Of the normalised square of what a kind of positions is off by when it is back."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +77,7 @@ class GnssUpdates:
         self.lever_arm_b, self.sample_rate_hz = lever_arm_b, sample_rate_hz
         self.hold = round(config.precise_hold_s * sample_rate_hz)
         self.counts = dict.fromkeys(
-            ("updates", "precise", "precise_jumps", "rejected", "recovered"), 0
+            ("updates", "precise", "rtk", "rtk_back", "precise_jumps", "rejected", "recovered"), 0
         )
 
     def update(self, measurement: Measurement) -> Innovation:
@@ -98,7 +108,7 @@ class GnssUpdates:
         self, offsets: GnssOffsets, epoch: PreciseEpoch, place_ecef: FloatArray, dt: float
     ) -> GnssOffsets:
         """Do the same with a precise position."""
-        known = offsets.precise.get(epoch.kind) or precise_error(self.config)
+        known = offsets.precise.get(epoch.kind) or precise_error(self.config, epoch.kind)
         seconds = epoch.sample_index / self.sample_rate_hz
         learnt = known.learn(seconds, epoch.position_ecef, place_ecef, epoch.noise_ecef, dt)
         return offsets.with_precise(epoch.kind, learnt)
@@ -130,16 +140,44 @@ class GnssUpdates:
         self.counts["updates"] += 1
         return Used(GnssUpdate(pvt.sample_index, (position, velocity)), offsets)
 
+    def follows_rtk(self, offsets: GnssOffsets, sample_index: int) -> bool:
+        """Whether positions against a base have been used up to a moment ago."""
+        since = sample_index - offsets.used_at
+        return offsets.kind.startswith(RTK) and since <= self._hold
+
+    def compare(
+        self, offsets: GnssOffsets, epoch: PreciseEpoch, row: int, dt: float
+    ) -> GnssOffsets:
+        """Return what is known after a position of a kind that is not followed now.
+
+        So the filter can go over to it without a jump: a constant difference between the two, and
+        what one creeps against the other, is no displacement.
+        """
+        seconds = epoch.sample_index / self.sample_rate_hz
+        known = offsets.precise.get(epoch.kind) or precise_error(self.config, epoch.kind)
+        here = self._antenna_at(row, epoch.sample_index)
+        learnt = known.learn(seconds, epoch.position_ecef, here, epoch.noise_ecef, dt)
+        place = position_covariance_ecef(self.filter) + offsets.crept(seconds)
+        inherited = put(offsets.inherited, epoch.kind, place - epoch.common_ecef)
+        return offsets.with_precise(epoch.kind, learnt, inherited=inherited)
+
     def use_precise(self, offsets: GnssOffsets, epoch: PreciseEpoch, row: int, dt: float) -> Used:
         """Use a precise position; what jumps is refused, and after a while compared anew.
 
-        A jump must not move the filter: a slip that passed unseen is no displacement.
+        A jump must not move the filter: a slip that passed unseen is no displacement. A base that
+        is back does not move it either: its positions are compared with the filter's first, and
+        what these have crept meanwhile is worked off over ``rtk_return_s``.
         """
         known = offsets.precise.get(epoch.kind)
+        is_back = epoch.against_base and offsets.kind not in ("", epoch.kind)
+        if is_back:
+            return Used(None, self._refused(offsets, epoch, row))
         if known is None:  # a kind that was never compared with a known place
             off = epoch.position_ecef - self._antenna_at(row, epoch.sample_index)
-            offsets = self._refer(offsets, epoch, off)
-            return Used(None, offsets)
+            return Used(None, self._refer(offsets, epoch, off))
+        if epoch.kind in offsets.home:
+            offsets = self._homewards(offsets, epoch.kind, epoch.sample_index)
+            known = offsets.precise[epoch.kind]
         moved, _ = self._change_after(row, epoch.sample_index)
         fix = known.take_off(epoch.position_ecef - moved, epoch.noise_ecef, dt)
         nav, lever = self.filter.nav, self.lever_arm_b
@@ -147,36 +185,78 @@ class GnssUpdates:
         measurement = replace(measurement, name="precise", recovers=False)
         innovation = self.update(measurement)
         self.counts["precise"] += 1
+        self.counts["rtk"] += epoch.against_base
         update = GnssUpdate(epoch.sample_index, (innovation, None))
         if innovation.accepted:
             used = replace(
                 offsets,
                 kind=epoch.kind,
                 used_at=epoch.sample_index,
-                rejected=0,
-                off=np.zeros(3),
+                refused=put(offsets.refused, epoch.kind, None),
                 stated=epoch.common_ecef,
             )
             return Used(update, used)
         return Used(update, self._refused(offsets, epoch, row))
 
     def _refused(self, offsets: GnssOffsets, epoch: PreciseEpoch, row: int) -> GnssOffsets:
-        expected = self._antenna_at(row, epoch.sample_index)
-        off = epoch.position_ecef - expected - offsets.precise[epoch.kind].mean
-        rejected, total = offsets.rejected + 1, offsets.off + off
-        if rejected < self.config.precise_rejections:
-            return replace(offsets, rejected=rejected, off=total)
-        self.counts["precise_jumps"] += 1
-        return self._refer(offsets, epoch, total / rejected)
+        """Count a position that is not used; after some, refer its kind to the filter's."""
+        known = offsets.precise.get(epoch.kind)
+        mean = known.mean if known is not None else np.zeros(3)
+        off = epoch.position_ecef - self._antenna_at(row, epoch.sample_index) - mean
+        before = offsets.refused.get(epoch.kind, Refused())
+        now = Refused(before.count + 1, before.off + off)
+        if now.count < self.config.precise_rejections:
+            return replace(offsets, refused=put(offsets.refused, epoch.kind, now))
+        is_back = offsets.kind not in ("", epoch.kind)
+        self.counts["rtk_back" if is_back else "precise_jumps"] += 1
+        referred = self._refer(offsets, epoch, now.off / now.count)
+        if not is_back:
+            return referred
+        home = self._home(known, referred.precise[epoch.kind], epoch)
+        return replace(
+            referred,
+            kind=epoch.kind,
+            used_at=epoch.sample_index,
+            home=put(referred.home, epoch.kind, home),
+        )
+
+    def _home(
+        self, known: SlowError | None, referred: SlowError, epoch: PreciseEpoch
+    ) -> SlowError | None:
+        """Return what was known of a kind, if it agrees with what it is referred to now.
+
+        If it does not, its integers are others than before.
+        """
+        if known is None:
+            return None
+        seconds = epoch.sample_index / self.sample_rate_hz
+        covariance = known.covariance_at(seconds) + referred.covariance_at(seconds)
+        away = referred.mean - known.mean
+        return known if away @ np.linalg.solve(covariance, away) < HOME_GATE else None
+
+    def _homewards(self, offsets: GnssOffsets, kind: str, sample_index: int) -> GnssOffsets:
+        """Work off what a kind was referred by while it was not there."""
+        home, here = offsets.home[kind], offsets.precise[kind]
+        seconds = sample_index / self.sample_rate_hz
+        elapsed = (sample_index - offsets.used_at) / self.sample_rate_hz
+        share = -float(np.expm1(-elapsed / self.config.rtk_return_s))
+        known = home.covariance_at(seconds)
+        mean = here.mean + share * (home.mean - here.mean)
+        covariance = here.covariance + share * (known - here.covariance)
+        return offsets.with_precise(kind, replace(here, mean=mean, covariance=covariance))
 
     def _refer(self, offsets: GnssOffsets, epoch: PreciseEpoch, off: FloatArray) -> GnssOffsets:
         """Take what a kind is off by from the filter's own position, and its uncertainty."""
-        known = offsets.precise.get(epoch.kind) or precise_error(self.config)
+        known = offsets.precise.get(epoch.kind) or precise_error(self.config, epoch.kind)
         seconds = epoch.sample_index / self.sample_rate_hz
         place = position_covariance_ecef(self.filter) + offsets.crept(seconds)
         place = place + epoch.noise_ecef
         return offsets.with_precise(
-            epoch.kind, known.refer(seconds, off, place), rejected=0, off=np.zeros(3)
+            epoch.kind,
+            known.refer(seconds, off, place),
+            refused=put(offsets.refused, epoch.kind, None),
+            inherited=put(offsets.inherited, epoch.kind, None),
+            home=put(offsets.home, epoch.kind, None),
         )
 
     def _antenna_at(self, row: int, sample_index: int) -> FloatArray:

@@ -242,16 +242,17 @@ class RtkPositions:
         self, o: Observations, base: Observations, solution: RtkSolution, rest: FloatArray | None
     ) -> PrecisePosition:
         status, place = solution.status, self._axes @ (solution.position_ecef - self.antenna)
-        C = self._axes @ solution.covariance_ecef @ self._axes.T
+        C, common = self._axes @ solution.covariance_ecef @ self._axes.T, np.zeros((3, 3))
         if self._tied:
             status = PreciseStatus.CALIBRATING
         elif status == PreciseStatus.FIX:
-            C = self._noise(o, base, solution)
+            C, common = self._noise(o, base, solution)
             if rest is not None:
                 self._learn_offset(place - rest, o.interval)
             if self._rested > 0.0:
                 # The base's noise goes on for its interval: so many seconds are independent.
-                C = C * (1.0 + 1.0 / max(1.0, min(self._rested, OFFSET_MEMORY)))
+                common = common + C / max(1.0, min(self._rested, OFFSET_MEMORY))
+            C = C + common
         used = set(solution.satellites)
         return PrecisePosition(
             sample_index=o.sample_index,
@@ -262,6 +263,7 @@ class RtkPositions:
             status=status,
             displacement_enu=place - (0.0 if self._tied else self._offset),
             covariance_enu=np.ascontiguousarray(C),
+            common_covariance_enu=np.ascontiguousarray(common).ravel(),
             clock_bias=float("nan"),
             clock_bias_sd=float("nan"),
             satellites=solution.satellites,
@@ -277,8 +279,10 @@ class RtkPositions:
         weight = interval / min(self._rested, OFFSET_MEMORY)
         self._offset = self._offset + weight * (offset - self._offset)
 
-    def _noise(self, o: Observations, base: Observations, solution: RtkSolution) -> FloatArray:
-        """Return the covariance of a fixed position by the phases' noise, for RTKLIB's weights.
+    def _noise(
+        self, o: Observations, base: Observations, solution: RtkSolution
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the covariance of a fixed position, for RTKLIB's weights: of noise, and of age.
 
         With known integers it is ``G R G'``, G the gain of the weighted least squares.
         """
@@ -290,13 +294,14 @@ class RtkPositions:
         )  # fmt: skip
         c = self.config
         weight = 1.0 / (c.rtk_carrier_sd**2 + (c.rtk_carrier_low_sd / np.sin(elevation)) ** 2)
-        G = np.linalg.solve(A.T @ (A * weight[:, None]), (A * weight[:, None]).T)
-        R = (CLOCK_STABILITY * SPEED_OF_LIGHT * solution.age) ** 2 + np.zeros(len(elevation))
+        G = np.linalg.solve(A.T @ (A * weight[:, None]), (A * weight[:, None]).T)[:3]
+        R = np.zeros(len(elevation))
         for receiver in (o, base):
             level = dict(zip(receiver.satellites, receiver.cn0_dbhz.tolist(), strict=True))
             cn0 = np.array([level[name] for name in solution.satellites])
             R += self.phase.variance(cn0, elevation)
-        return np.asarray((G * R) @ G.T)[:3, :3]
+        aged = (CLOCK_STABILITY * SPEED_OF_LIGHT * solution.age) ** 2
+        return np.asarray((G * R) @ G.T), np.asarray(aged * G @ G.T)
 
 
 def rtk_positions(

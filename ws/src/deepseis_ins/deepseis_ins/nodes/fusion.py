@@ -71,11 +71,12 @@ class NodeConfig:
         [0.0, 0.0, 0.0, 1.0], "surveyed attitude, FLU to ENU; zeros: level it [-]"
     )
     nav_file: str = setting("", "RINEX navigation file: orbits before they are decoded [path]")
+    wait_rtk: bool = setting(False, "pvt publishes positions against a base: wait for them too")
     fusion_deadline_ms: float = setting(30.0, "realtime: wait so long for inputs [ms]", low=0)
 
 
 class FusionNode(Node):
-    """In: imu/data_raw, motion/state, gnss/pvt, gnss/precise, gnss/ephemeris.
+    """In: imu/data_raw, motion/state, gnss/pvt, gnss/precise, gnss/rtk, gnss/ephemeris.
 
     Coupling tight: gnss/observations too; coupling ldv: ldv/velocity.
 
@@ -113,7 +114,7 @@ class FusionNode(Node):
         counting = not self.flow.rejoins
         followed = FOLLOWED + ("ldv_source",) * isinstance(self.engine, LdvFusionEngine)
         self.inputs = {name: CountedInput(counting=counting) for name in followed}
-        self.orbits, self.precise = (CountedInput(counting=counting) for _ in range(2))
+        self.orbits, self.precise, self.rtk = (CountedInput(counting=counting) for _ in range(3))
         self.epochs: CountedInput | None = None
         self.motions = 0
         self.second, self.looked = -1, 0.0
@@ -123,6 +124,8 @@ class FusionNode(Node):
         subscribe(self, codecs.MOTION_STATE, "motion/state", self.on_motion, qos.LATCHED)
         subscribe(self, codecs.PVT, "gnss/pvt", self.on_pvt, qos.STREAM)
         subscribe(self, codecs.PRECISE_POSITION, "gnss/precise", self.on_precise, qos.STREAM)
+        if config.wait_rtk:
+            subscribe(self, codecs.PRECISE_POSITION, "gnss/rtk", self.on_rtk, qos.STREAM)
         subscribe(self, codecs.EPHEMERIS, "gnss/ephemeris", self.on_ephemeris, qos.LATCHED)
         if isinstance(self.engine, TightFusionEngine):
             self.epochs = CountedInput(counting=counting)
@@ -187,6 +190,12 @@ class FusionNode(Node):
         self.precise.received()
         self.work()
 
+    def on_rtk(self, position: PrecisePosition, _utc_ns: int) -> None:
+        """Take a position against a base."""
+        self.engine.push_rtk(position)
+        self.rtk.received()
+        self.work()
+
     def on_observations(self, observations: Observations, _utc_ns: int) -> None:
         """Take an epoch of ranges."""
         assert isinstance(self.engine, TightFusionEngine)
@@ -219,7 +228,8 @@ class FusionNode(Node):
         self.inputs[msg.node].announced(count, msg.valid_through)
         if msg.node == "pvt":
             self.orbits.announced(msg.ephemeris_count, msg.valid_through)
-            self.precise.announced(msg.precise_count, msg.valid_through)
+            for item in (self.precise, self.rtk):
+                item.announced(msg.precise_count, msg.valid_through)
             if self.epochs is not None:
                 self.epochs.announced(msg.observation_count, msg.valid_through)
         self.work()
@@ -249,7 +259,7 @@ class FusionNode(Node):
         engine.source_valid(inputs["if_source"].valid_through)
         engine.imu_valid(inputs["imu_source"].valid_through + 1)
         engine.motion_valid(inputs["motion_state"].valid_through)
-        told = [inputs["pvt"], self.orbits, self.precise]
+        told = [inputs["pvt"], self.orbits, self.precise, *([self.rtk] * self.config.wait_rtk)]
         told += [self.epochs] if self.epochs is not None else []
         if isinstance(engine, LdvFusionEngine):
             engine.ldv_valid(inputs["ldv_source"].valid_through)
