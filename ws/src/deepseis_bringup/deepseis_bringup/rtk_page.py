@@ -121,17 +121,11 @@ def page(table: RtkTable, about: dict[str, Any], limit: float) -> str:
         place(figures_of(table, limit), panels, Colours([])),
         f"<h2>Files and settings</h2>{values_table(about)}",
     ]
-    spread = figures.get("spread_fixed_enu_m")
     tiles = [
         Tile("Epochs", str(figures["epochs"])),
         Tile("Fixed", f"{figures['fixed_percent']:.1f}", "%", f"{figures['fixed']} epochs"),
         Tile("Float", str(figures["float"]), "", f"{figures['none']} without a solution"),
-        Tile(
-            "Spread of fixed epochs",
-            "-" if spread is None else " / ".join(f"{1e3 * value:.1f}" for value in spread),
-            "mm",
-            "one sigma, east / north / up; a moving antenna's motion is in it",
-        ),
+        _spread(figures.get("spread_fixed_enu_m")),
     ]
     head = (
         f'{OWN_STYLE}<header class="top"><p class="kind">DeepSeis RTK</p>'
@@ -140,3 +134,13 @@ def page(table: RtkTable, about: dict[str, Any], limit: float) -> str:
         f'<dl class="tiles">{"".join(tile.html() for tile in tiles)}</dl></header>'
     )
     return document("RTK", head, body, panels)
+
+
+def _spread(spread: list[float] | None) -> Tile:
+    """Return how far fixed epochs lie apart: noise of an antenna at rest, motion of another."""
+    name, more = "Spread of fixed epochs", "one sigma, east / north / up; motion is in it"
+    if spread is None:
+        return Tile(name, "-")
+    if max(spread) > 0.5:
+        return Tile(name, " / ".join(f"{value:.1f}" for value in spread), "m", more)
+    return Tile(name, " / ".join(f"{1e3 * value:.1f}" for value in spread), "mm", more)
