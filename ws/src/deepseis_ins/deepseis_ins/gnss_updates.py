@@ -143,7 +143,7 @@ class GnssUpdates:
     def follows_rtk(self, offsets: GnssOffsets, sample_index: int) -> bool:
         """Whether positions against a base have been used up to a moment ago."""
         since = sample_index - offsets.used_at
-        return offsets.kind.startswith(RTK) and since <= self._hold
+        return offsets.kind.startswith(RTK) and since <= self.hold
 
     def compare(
         self, offsets: GnssOffsets, epoch: PreciseEpoch, row: int, dt: float
