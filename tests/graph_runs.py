@@ -83,7 +83,8 @@ def run(source: Path, folder: Path, satellites: Sequence[str], **options: Any) -
         if name in options
     }
     folder.mkdir(parents=True, exist_ok=True)
-    given = RunOptions(satellites=tuple(satellites), timeout=50.0, **options)
+    options = {"timeout": 50.0, **options}
+    given = RunOptions(satellites=tuple(satellites), **options)
     figures = run_recording(Selection(str(source), **selection), folder, given, progress=False)
     return Run(folder, figures)
 

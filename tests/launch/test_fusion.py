@@ -81,7 +81,10 @@ def test_motion_of_the_moment_and_smoothed_motion_are_both_published_and_told_ap
     for each in times:
         np.testing.assert_allclose(np.diff(each), 5_000_000, atol=2_000)
     assert len(times[1]) > 1000
-    values = [np.concatenate([m.displacement for m in parts]) for parts in (now, late)]
+    values = [
+        np.concatenate([np.reshape(m.displacement, (-1, 3)) for m in parts])
+        for parts in (now, late)
+    ]
     here = times[1][-400:]
     then = np.stack([np.interp(here, times[0], values[0][:, k]) for k in range(3)], axis=1)
     # They differ by what the present does not know yet: millimetres, and not nothing.

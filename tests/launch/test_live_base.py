@@ -78,6 +78,7 @@ def live(bag, parameters, tmp_path_factory):
             _satellites(epochs),
             base_from=f"tcp://127.0.0.1:{port}",
             record_if=False,
+            timeout=150.0,
             parameters={**parameters, "base_source": {"base_stale_s": 1.0}},
         )
     return run
