@@ -450,7 +450,7 @@ def base_epochs(path: Path):
 
 
 def recover(path: Path) -> None:
-    recover_bag(path)
+    recover_bag(path, replace=True)
     assert bag_info(path).is_whole
     list(read_messages([path]))
 

@@ -21,7 +21,8 @@ from deepseis_bringup.mcap_recording import BagWriter, read_messages
 from deepseis_bringup.recording_queue import about_whom, event_span
 from deepseis_bringup.recovery import recover_bag
 from deepseis_bringup.ros_definitions import Definitions
-from deepseis_core.errors import InputError
+from deepseis_bringup.runs import half_written_is_removed
+from deepseis_core.errors import DiskError, InputError
 from deepseis_core.mcap_scan import McapScan
 from deepseis_frontend.if_bag import bag_files, first_messages, mcap_files
 
@@ -206,6 +207,28 @@ def test_stamps_that_jump_do_not_stop_the_splitting(tmp_path, jump):
     assert max(map(len, found)) <= 30  # before, back to just short of a whole file, and after
 
 
+def test_a_stamp_of_another_clock_or_one_that_leaps_deletes_nothing(tmp_path):
+    """A diagnostic by the wall clock, years ahead; then the stream itself a day ahead."""
+    day = 86_400 * SECOND
+    with archive(tmp_path / "bag", split_s=10.0, keep_h=50 / 3600, pre_event_s=1.0) as bag:
+        for k in range(80):
+            stamp = START + k * SECOND + (day if k >= 60 else 0)
+            bag.write("/data", DATA, payload(k), stamp, stamp)
+            bag.write("/diagnostics", DATA, payload(k), START + 400 * day, START)
+            bag.settle()
+    kept = [k for f in mcap_files(tmp_path / "bag") for k in numbers_of(f, "/data")]
+    assert kept == list(range(kept[0], 80))
+    assert 50 <= 80 - kept[0] <= 75
+    assert len(mcap_files(tmp_path / "bag")) >= 6
+
+
+def numbers_of(file, topic):
+    return [
+        struct.unpack_from("<I", m.data, 4)[0]
+        for m in McapScan(file).messages(lambda channel: channel.topic == topic)
+    ]
+
+
 # --- A full disk -----------------------------------------------------------------------------
 
 
@@ -315,7 +338,7 @@ def test_a_disk_that_is_full_at_the_end_leaves_whole_chunks_and_an_error(tmp_pat
     small[0] = 3_000
     write(bag, 20, 40)
     wait_for(lambda: bag.file.trouble is not None, "no trouble")
-    with pytest.raises(InputError, match=r"No space left on device; \d+ messages lost$"):
+    with pytest.raises(DiskError, match=r"No space left on device; \d+ messages lost$"):
         bag.close()
     left = [m.log_time_ns for m in McapScan(tmp_path / "bag" / "bag_0.mcap").messages()]
     assert left == [START + k * SECOND for k in range(len(left))]
@@ -350,10 +373,24 @@ def test_below_the_watermark_recording_pauses_and_goes_on_by_itself(tmp_path, sm
 def test_in_lockstep_a_full_disk_ends_the_run(tmp_path, small):
     bag = archive(tmp_path / "bag", flush_interval=0.0)
     small[0] = 3_000
-    with pytest.raises(InputError, match="cannot be written: No space left on device"):
+    with pytest.raises(DiskError, match="cannot be written: No space left on device"):
         write(bag, 0, 2000, pause=0.001)
-    with pytest.raises(InputError, match="cannot be written"):
+    with pytest.raises(DiskError, match="cannot be written"):
         bag.close()
+
+
+def test_a_run_that_a_full_disk_ended_is_kept(tmp_path):
+    def run(folder, error):
+        with half_written_is_removed(folder):
+            (folder / "bag_0.mcap").write_bytes(b"what there was room for")
+            raise error
+
+    with pytest.raises(DiskError):
+        run(tmp_path / "full", DiskError("bag_0.mcap", "cannot be written: No space left"))
+    assert (tmp_path / "full" / "bag_0.mcap").exists()
+    with pytest.raises(InputError):
+        run(tmp_path / "bad", InputError("a.bin", "is empty"))
+    assert not (tmp_path / "bad").exists()
 
 
 def test_a_real_full_disk(tmp_path, monkeypatch):

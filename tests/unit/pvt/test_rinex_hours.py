@@ -1,5 +1,7 @@
 """RINEX by the hour, versions 3.05 and 4.02, read by RTKLIB and georinex."""
 
+import errno
+import os
 from dataclasses import replace
 
 import georinex
@@ -9,10 +11,11 @@ import pytest
 from unit.pvt.test_pvt_engine import engine, run
 from unit.pvt.tracked_signals import WEEK, ephemeris
 
-from deepseis_core.errors import InputError
+from deepseis_core.errors import DiskError, InputError
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.rinex_nav import format_record, read_rinex_nav
 from deepseis_core.rinex_nav4 import format_rinex_nav4
+from deepseis_pvt import rinex_hours
 from deepseis_pvt.products import RinexProducts
 from deepseis_pvt.rinex_hours import RinexHours
 from deepseis_pvt.rinex_obs import RinexObsWriter, RinexStation
@@ -142,3 +145,70 @@ def test_a_stations_products_begin_a_new_file_with_the_hour(first, tmp_path):
         "DSEI00JPN_R_20220010200_01M_50Z_GO.rnx",
         "DSEI00JPN_R_20220010159_01M_GN.rnx",
     ]
+
+
+class FullDisk:
+    """A raw file that takes half of what it is given, then nothing, while the disk is full."""
+
+    def __init__(self, file, full):
+        self.file, self.full = file, full
+
+    def write(self, data):
+        if not self.full[0]:
+            return self.file.write(data)
+        if self.full[0] == "now":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self.full[0] = "now"
+        return self.file.write(data[: len(data) // 2])
+
+    def __getattr__(self, name):
+        return getattr(self.file, name)
+
+
+def write_on_a_full_disk(products, first):
+    """Write 400 epochs at 50 Hz; the disk is full from the 100th to the 250th."""
+    full = [""]
+    for k in range(400):
+        if k == 60:
+            writer = products.observations._writer
+            writer._file = FullDisk(writer._file, full)
+        full[0] = (full[0] or "soon") if 100 <= k < 250 else ""
+        products.write(replace(first, week=WEEK, tow_ns=HOUR + k * 20_000_000), None)
+
+
+@pytest.fixture
+def patient(tmp_path):
+    return RinexProducts(tmp_path, RinexStation(name="DSEI00JPN"), patient=True)
+
+
+def epochs_in(path):
+    return [line[2:30] for line in path.read_text().splitlines() if line.startswith("> ")]
+
+
+def test_a_disk_that_is_full_for_seconds_costs_no_epoch(first, patient):
+    write_on_a_full_disk(patient, first)
+    (path,) = patient.close()
+    found = epochs_in(path)
+    assert len(found) == len(set(found)) == 400
+    assert found == sorted(found)
+    assert patient.lost == 0
+
+
+def test_a_disk_that_stays_full_costs_epochs_that_are_counted(first, patient, monkeypatch):
+    monkeypatch.setattr(rinex_hours, "MOST_WAITING", 15_000)
+    write_on_a_full_disk(patient, first)
+    (path,) = patient.close()
+    found = epochs_in(path)
+    assert 0 < patient.lost <= 150
+    assert len(found) == 400 - patient.lost
+    assert found == sorted(found)
+
+
+def test_in_lockstep_a_full_disk_is_an_error_and_whole_epochs_stay(first, tmp_path):
+    products = RinexProducts(tmp_path, RinexStation(name="DSEI00JPN"))
+    with pytest.raises(DiskError, match="RINEX cannot be written: No space left on device"):
+        write_on_a_full_disk(products, first)
+    products.observations._writer._file.close()
+    (path,) = tmp_path.glob("*.part")
+    assert path.read_text().endswith("\n")
+    assert len(epochs_in(path)) == 51  # through the last whole second

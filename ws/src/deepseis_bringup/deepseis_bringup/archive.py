@@ -23,10 +23,12 @@ from typing import Any, Final
 from deepseis_bringup.mcap_file import McapFile
 from deepseis_bringup.mcap_recording import BagWriter, FileFacts, write_metadata_yaml
 from deepseis_core.config import setting
-from deepseis_core.errors import InputError
+from deepseis_core.errors import DiskError, InputError
 
 NS: Final = 1_000_000_000
 HEAD: Final = "head"
+UNTIMED: Final = frozenset({"/diagnostics"})
+"""Topics on which some stamp by the wall clock."""
 Latched = dict[tuple[str, str], tuple[int, bytes]]
 """By topic and whom it is about: stamp and message."""
 
@@ -72,6 +74,9 @@ class Split:
     start_ns: int
     end_ns: int
     size: int
+    span_ns: tuple[int, int] = (0, 0)
+    """First and last stamp of the stream, without topics that may go by another clock."""
+    length_ns: int = 0
     number: int = 0
     latched: Latched = field(default_factory=dict)
     """What held when the file began."""
@@ -170,7 +175,7 @@ class Archive(BagWriter):
             options |= {"guard": self.guard, "sync_interval": config.sync_s}
         self.splits: deque[Split] = deque()
         self.events: list[list[int]] = []
-        self.newest_ns = self._began_ns = 0
+        self.newest_ns = self._began_ns = self._first_ns = 0
         self._latched: Latched = {}
         self._at_begin: Latched = {}
         self._number, self._deleted, self._deleted_bytes, self._lost = 0, 0, 0, 0
@@ -191,10 +196,12 @@ class Archive(BagWriter):
         """Write a serialised message, into a new file if it is time for one."""
         if self._fault is not None:
             raise self._fault
-        if self._is_due(log_time_ns):
-            self._begin_next(log_time_ns)
-        self._began_ns = self._began_ns or log_time_ns
-        self.newest_ns = max(self.newest_ns, log_time_ns)
+        if topic not in UNTIMED:
+            if self._is_due(log_time_ns):
+                self._begin_next(log_time_ns)
+            self._began_ns = self._began_ns or log_time_ns
+            self._first_ns = min(self._first_ns or log_time_ns, log_time_ns)
+            self.newest_ns = max(self.newest_ns, log_time_ns)
         super().write(topic, type_name, cdr_bytes, log_time_ns, publish_time_ns)
         if topic in self.keys:
             data = bytes(cdr_bytes)
@@ -217,19 +224,23 @@ class Archive(BagWriter):
             self._not_before = time.monotonic() + 1.0
             return
         self._numbers = {c.topic: number for number, c in self.file.channels.items()}
-        self._worker.submit(self._finish, done, self._number, self._at_begin)
+        span = self._first_ns, self.newest_ns
+        longest = round(self.config.split_s * NS) or span[1] - span[0]
+        length_ns = min(abs(now_ns - self._began_ns), longest)
+        facts = (span, length_ns, self._number, self._at_begin)
+        self._worker.submit(self._finish, done, facts)
         self._number += 1
-        self._at_begin, self._began_ns = dict(self._latched), now_ns
+        self._at_begin = dict(self._latched)
+        self._began_ns = self._first_ns = self.newest_ns = now_ns
 
-    def _finish(self, file: McapFile, number: int, latched: Latched) -> None:
+    def _finish(self, file: McapFile, about: tuple[tuple[int, int], int, int, Latched]) -> None:
         """Finish a file and make room (in the thread)."""
         try:
             with suppress(InputError):  # a full disk: its messages can be read without its index
                 file.close()
             self._lost += file.unwritten + sum(part.count for part in file.dropped)
-            start_ns = min(file.start_ns, file.end_ns)
-            facts = (file.path, file.channels, file.counts, start_ns, file.end_ns, file.size)
-            self.splits.append(Split(*facts, number, latched))
+            facts = (file.path, file.channels, file.counts, file.start_ns, file.end_ns, file.size)
+            self.splits.append(Split(*facts, *about))
             self.make_room()
         except Exception as error:
             self._fault = error
@@ -246,21 +257,35 @@ class Archive(BagWriter):
 
     def is_kept(self, split: Split) -> bool:
         """Tell whether a file holds a part of an event's window."""
-        return any(a <= split.end_ns and split.start_ns <= b for a, b in list(self.events))
+        first, last = split.span_ns
+        return any(a <= last and first <= b for a, b in list(self.events))
 
     def make_room(self) -> None:
         """Delete the oldest files that are too old, or one too many for the budget."""
-        limit_ns = self.newest_ns - round(self.config.keep_h * 3600 * NS)
         size = sum(split.size for split in self.splits) + self.file.size
         removed: list[Split] = []
+        old = self._too_old()
         for split in [item for item in self.splits if not self.is_kept(item)]:
-            old = self.config.keep_h > 0 and split.end_ns < limit_ns
-            if not old and not 0 < self.config.budget_gb * 1e9 < size:
+            if split.number not in old and not 0 < self.config.budget_gb * 1e9 < size:
                 break
             removed.append(split)
             size -= split.size
         if removed:
             self._remove(removed)
+
+    def _too_old(self) -> set[int]:
+        """Return the numbers of the files behind which ``keep_h`` hours are recorded already.
+
+        What counts is what newer files hold, not how far stamps are apart: a clock of the source
+        that leaps ahead makes nothing old.
+        """
+        keep_ns = self.config.keep_h * 3600 * NS
+        held, old = 0, set()
+        for split in reversed(self.splits):
+            if 0 < keep_ns <= held:
+                old.add(split.number)
+            held += split.length_ns
+        return old
 
     def _remove(self, removed: list[Split]) -> None:
         """Delete files; the head is written first, so that at no time anything is missing."""
@@ -290,7 +315,7 @@ class Archive(BagWriter):
         return [
             (t, topic, data)
             for (t, topic, _), data in sorted(found.items())
-            if not any(split.start_ns <= t <= split.end_ns for split in left)
+            if not any(split.span_ns[0] <= t <= split.span_ns[1] for split in left)
         ]
 
     def _write_head(self, messages: list[tuple[int, str, bytes]]) -> None:
@@ -331,7 +356,7 @@ class Archive(BagWriter):
             files=len(splits) + 1,
             kept_for_events=sum(self.is_kept(split) for split in splits),
             deleted=self._deleted,
-            oldest_ns=splits[0].start_ns if splits else self._began_ns,
+            oldest_ns=splits[0].span_ns[0] if splits else self._began_ns,
             newest_ns=self.newest_ns,
             lost=self._lost + sum(part.count for part in self.file.dropped),
             trouble="" if trouble is None else trouble.strerror or str(trouble),
@@ -346,7 +371,7 @@ class Archive(BagWriter):
 
         Raises
         ------
-        InputError
+        DiskError
             The last messages could not be written.
         """
         if self._closed:
@@ -357,9 +382,12 @@ class Archive(BagWriter):
         try:
             last.close()
         except InputError as error:
-            raise InputError(error.what, f"{error.reason}; {self._toll(last)} lost") from None
+            raise DiskError(error.what, f"{error.reason}; {self._toll(last)} lost") from None
         files: list[FileFacts] = [*([self._head] if self._head else []), *self.splits, last]
-        write_metadata_yaml(self.folder, files, self.custom)
+        try:
+            write_metadata_yaml(self.folder, files, self.custom)
+        except OSError as error:
+            raise DiskError(self.folder, f"has no metadata.yaml: {error.strerror}") from None
 
     def _toll(self, last: McapFile) -> str:
         dropped = self._lost + sum(part.count for part in last.dropped)

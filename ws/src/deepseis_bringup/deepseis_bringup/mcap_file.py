@@ -29,7 +29,7 @@ from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
-from deepseis_core.errors import InputError
+from deepseis_core.errors import DiskError, InputError
 from deepseis_core.mcap_scan import MAGIC, MESSAGE_HEAD, RECORD_HEAD, Channel
 
 COMPRESSIONS: Final = ("zstd", "none")
@@ -104,7 +104,7 @@ class McapFile:
 
     Raises
     ------
-    InputError
+    DiskError
         Where the file cannot be made or, from any method, written.
     """
 
@@ -151,7 +151,7 @@ class McapFile:
             self._file = path.open("xb", buffering=0)
             self._commit()
         except OSError as error:
-            raise InputError(path, f"cannot be made: {error.strerror}") from None
+            raise DiskError(path, f"cannot be made: {error.strerror}") from None
         with suppress(OSError):  # tells `recover` that somebody writes; not everywhere possible
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._guard = guard
@@ -282,7 +282,7 @@ class McapFile:
     def _require_healthy(self) -> None:
         if self._error is not None:
             reason = getattr(self._error, "strerror", None) or self._error
-            raise InputError(self.path, f"cannot be written: {reason}") from self._error
+            raise DiskError(self.path, f"cannot be written: {reason}") from self._error
 
     def _close_chunk(self) -> None:
         """Hand the open chunk to the thread (with the lock held)."""

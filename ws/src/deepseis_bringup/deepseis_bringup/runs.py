@@ -28,7 +28,7 @@ from deepseis_bringup.run_records import input_hash, recorded_run, versions, wit
 from deepseis_bringup.supervisor import NodeFailureError, Supervisor, own_domain, running
 from deepseis_bringup.watch import GraphWatch
 from deepseis_bringup.web_options import WebOptions
-from deepseis_core.errors import InputError
+from deepseis_core.errors import DiskError, InputError
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.sample_clock import utc_ns_from_iso
 from deepseis_frontend.if_open import open_source
@@ -123,7 +123,7 @@ def half_written_is_removed(folder: Path) -> Iterator[None]:
 def _is_worth_keeping(folder: Path, error: BaseException) -> bool:
     """Whether a failed run is a record of something: of a node's failure, or of samples."""
     if isinstance(error, InputError):
-        return isinstance(error, NodeFailureError)
+        return isinstance(error, (NodeFailureError, DiskError))
     return any(path.stat().st_size > 65536 for path in folder.glob("bag/*.mcap"))
 
 

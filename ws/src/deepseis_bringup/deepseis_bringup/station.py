@@ -25,8 +25,10 @@ from deepseis_bringup.station_config import StationConfig
 from deepseis_bringup.supervisor import Supervisor, running
 from deepseis_bringup.watch import GraphWatch
 from deepseis_core.errors import InputError
+from deepseis_core.rinex_nav import write_whole
 from deepseis_core.ros import diagnostics, qos
 from deepseis_core.ros.convert import ns_from_stamp
+from deepseis_core.ros.steady import every
 from deepseis_msgs.msg import SeismicEvent, Watermark
 
 DISCOVERY_SECONDS = 1.0
@@ -73,7 +75,7 @@ class StationWatch(GraphWatch):
             )
 
         self.node.create_subscription(SeismicEvent, "seismo/event", on_event, qos.LATCHED)
-        self.node.create_timer(1.0, report)
+        every(self.node, 1.0, report)
 
     def follow_ends(self, members: list[str]) -> None:
         """Collect in ``ended`` who says that nothing more will follow, and who has said so."""
@@ -236,7 +238,7 @@ def run_station(
         "nodes_with_warnings": sum(level > b"\0" for level in watch.levels.values()),
         **{f"version_{name}": value for name, value in versions().items()},
     }
-    (folder / "summary.json").write_text(json.dumps(figures, indent=2) + "\n")
+    write_whole(folder / "summary.json", json.dumps(figures, indent=2) + "\n")
     return figures
 
 

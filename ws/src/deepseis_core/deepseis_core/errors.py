@@ -27,8 +27,16 @@ class InputError(Exception):
     """
 
     def __init__(self, what: object, reason: str, hint: str = "") -> None:
-        self.what, self.reason, self.hint = _one_line(str(what)), _one_line(reason), hint
-        super().__init__(f"{self.what}: {self.reason}" + (f" ({hint})" if hint else ""))
+        self.what, self.reason = _one_line(str(what)), _one_line(reason)
+        self.hint = _one_line(hint, longest=3000)  # it may list all that is known
+        super().__init__(f"{self.what}: {self.reason}" + (f" ({self.hint})" if hint else ""))
+
+
+class DiskError(InputError):
+    """What was computed could not be written: nothing was wrong with the input.
+
+    A node that ends with it has failed (status 1), and what it wrote before is kept.
+    """
 
 
 def _one_line(text: str, longest: int = 400) -> str:

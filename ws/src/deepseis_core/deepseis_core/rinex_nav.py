@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from deepseis_core.constants import NS_PER_S, S_PER_WEEK
-from deepseis_core.errors import InputError
+from deepseis_core.errors import DiskError, InputError
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.lnav import UtcParameters
 from deepseis_core.types import Ephemeris
@@ -362,7 +362,7 @@ def write_whole(path: Path, text: str) -> None:
         part.replace(path)
     except OSError as error:
         part.unlink(missing_ok=True)
-        raise InputError(path, error.strerror or str(error)) from None
+        raise DiskError(path, f"cannot be written: {error.strerror or error}") from None
 
 
 def rinex3_name(

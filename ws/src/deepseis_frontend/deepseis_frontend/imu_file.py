@@ -251,7 +251,8 @@ class ImuFile:
             return header.index(name)
         if name.isdigit() and int(name) > 0:
             return int(name) - 1
-        raise InputError(self.path, f"has no column {name!r}", "it has: " + ", ".join(header))
+        known = ", ".join(header)[:300]
+        raise InputError(self.path, f"has no column {name!r}", f"it has: {known}")
 
     def _numbers(
         self, number: int, cells: list[str], columns: list[int], names: list[str]

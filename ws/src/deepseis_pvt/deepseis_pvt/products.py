@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from deepseis_core.errors import DiskError
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.rinex_nav import rinex3_name, write_rinex_nav
 from deepseis_core.types import Ephemeris, Observations, Pvt, PvtStatus
@@ -20,9 +21,24 @@ class RinexProducts:
         Where the files go.
     station : RinexStation
         For headers and names.
+    patient : bool
+        Wait for room on a full disk: some minutes of epochs are held, then they are lost.
+
+    Attributes
+    ----------
+    lost : int
+        Epochs that were.
+
+    Raises
+    ------
+    DiskError
+        The disk does not take them.
     """
 
-    def __init__(self, folder: str | Path, station: RinexStation) -> None:
+    def __init__(
+        self, folder: str | Path, station: RinexStation, *, patient: bool = False
+    ) -> None:
+        self.patient, self.lost = patient, 0
         self.folder, self.station = Path(folder), station
         self.observations = RinexHours(self.folder, station)
         self.ephemerides: dict[tuple[str, int, float], Ephemeris] = {}
@@ -32,7 +48,12 @@ class RinexProducts:
     def write(self, observations: Observations, pvt: Pvt | None) -> None:
         """Take one epoch."""
         position = pvt.position_ecef if pvt and pvt.status != PvtStatus.NONE else None
-        self.observations.write(observations, position)
+        try:
+            self.observations.write(observations, position)
+        except OSError as error:
+            if not self.patient:
+                raise self._failure(error) from None
+            self.lost += self.observations.make_room()
         self.end = GpsTime(observations.week, observations.tow_ns)
         self.start = self.start or self.end
 
@@ -44,7 +65,10 @@ class RinexProducts:
 
     def close(self) -> list[Path]:
         """Finish the files; returns those that were written."""
-        written = self.observations.close()
+        try:
+            written = self.observations.close()
+        except OSError as error:
+            raise self._failure(error) from None
         if self.ephemerides and self.start is not None:
             seconds = max(1.0, self.end.diff_ns(self.start) * 1e-9)
             name = rinex3_name(self.station.name, self.start, seconds, "GN")
@@ -54,3 +78,6 @@ class RinexProducts:
             write_rinex_nav(self.folder / name, found, **header)
             written.append(self.folder / name)
         return written
+
+    def _failure(self, error: OSError) -> DiskError:
+        return DiskError(self.folder, f"RINEX cannot be written: {error.strerror or error}")

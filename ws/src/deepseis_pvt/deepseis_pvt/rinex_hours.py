@@ -13,6 +13,8 @@ from deepseis_core.types import Ephemeris, FloatArray, Observations
 from deepseis_pvt.rinex_obs import VERSIONS, RinexObsWriter, RinexStation
 
 HOUR_NS = 3600 * NS_PER_S
+MOST_WAITING = 8_000_000
+"""Characters that may wait for room on a full disk: a minute or two at 50 Hz."""
 
 
 class RinexHours:
@@ -60,6 +62,10 @@ class RinexHours:
         key = (ephemeris.satellite, ephemeris.week, ephemeris.toe)
         if key not in found or ephemeris.iono_alpha:
             found[key] = ephemeris
+
+    def make_room(self) -> int:
+        """Give up epochs that could not be written, if too many wait; returns how many."""
+        return self._writer.drop() if self._writer.waiting > MOST_WAITING else 0
 
     def _finish(self) -> None:
         path = self._writer.close()

@@ -10,9 +10,9 @@ from __future__ import annotations
 import datetime as dt
 import os
 from dataclasses import dataclass, replace
+from io import FileIO
 from pathlib import Path
 from types import TracebackType
-from typing import TextIO
 
 import numpy as np
 
@@ -173,7 +173,8 @@ class RinexObsWriter:
         self.station = station or RinexStation()
         self.created = created or dt.datetime.now(dt.UTC)
         self.path: Path | None = None
-        self._file: TextIO | None = None
+        self._file: FileIO | None = None
+        self._size = 0
         self._start: GpsTime | None = None
         self._last = GpsTime(0, 0)
         self._interval = 1.0
@@ -197,17 +198,51 @@ class RinexObsWriter:
             if known or time.diff_ns(self._start) >= NS_PER_S // 2:
                 self._open(position_ecef)
         else:
-            self._file.write(text)
-        if self._file and time.total_ns // NS_PER_S != self._last.total_ns // NS_PER_S:
-            self._file.flush()
-        self._last = time
+            self._waiting += text
+        before, self._last = self._last, time
+        if self._file and time.total_ns // NS_PER_S != before.total_ns // NS_PER_S:
+            self.flush()
+
+    @property
+    def waiting(self) -> int:
+        """Characters that are not in the file yet."""
+        return len(self._waiting)
+
+    def flush(self) -> None:
+        """Write the whole epochs that wait; where that fails they go on waiting.
+
+        Raises
+        ------
+        OSError
+            Nothing of them is in the file.
+        """
+        if self._file is None:
+            return
+        data = memoryview(self._waiting.encode("ascii"))
+        size = self._size + len(data)
+        try:
+            while len(data):
+                data = data[self._file.write(data) :]
+        except OSError:
+            self._file.truncate(self._size)
+            self._file.seek(self._size)
+            raise
+        self._size, self._waiting = size, ""
+
+    def drop(self) -> int:
+        """Give up the epochs that wait behind others; returns how many."""
+        if not self._size:
+            return 0
+        dropped, self._waiting = self._waiting.count("> "), ""
+        return dropped
 
     def close(self) -> Path | None:
         """Finish the file and give it its name; None if there was no epoch."""
-        if self._waiting:
+        if self._waiting and self._file is None:
             self._open(None)
         if self._file is None or self.path is None or self._start is None:
             return None
+        self.flush()
         self._file.close()
         self._file = None
         seconds = self._last.diff_ns(self._start) / NS_PER_S + self._interval
@@ -227,10 +262,9 @@ class RinexObsWriter:
             x, y, z = map(float, position)
             station = replace(station, position_ecef=(x, y, z))
         header = header_lines(station, self._start, self._interval, self.created, self.version)
-        self._file = self.path.open("w", encoding="ascii", newline="\n")
-        self._file.write("\n".join(header) + "\n" + self._waiting)
-        self._file.flush()
-        self._waiting = ""
+        self._file, self._size = self.path.open("wb", buffering=0), 0
+        self._waiting = "\n".join(header) + "\n" + self._waiting
+        self.flush()
 
     def __enter__(self) -> RinexObsWriter:
         """Return the writer."""

@@ -16,7 +16,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
-from deepseis_core.errors import InputError
+from deepseis_core.errors import DiskError, InputError
 from deepseis_core.ros.reach import choose_reach
 
 
@@ -82,7 +82,7 @@ def run(build: Callable[[Process], None], name: str, args: list[str] | None = No
                 print(f"{name}: {process.stopped.line}", file=sys.stderr, flush=True)
     except InputError as error:
         print(f"{name}: {error}", file=sys.stderr, flush=True)
-        status = 2
+        status = _status(error)
     except ExternalShutdownException:
         pass
     except Exception:
@@ -95,7 +95,7 @@ def run(build: Callable[[Process], None], name: str, args: list[str] | None = No
                 close()
         except InputError as error:
             print(f"{name}: {error}", file=sys.stderr, flush=True)
-            status = status or 2
+            status = status or _status(error)
         except Exception:
             traceback.print_exc()
             status = status or 1
@@ -105,3 +105,8 @@ def run(build: Callable[[Process], None], name: str, args: list[str] | None = No
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # everything is done: no signal changes the status
     sys.exit(status)
+
+
+def _status(error: InputError) -> int:
+    """Return 2 for bad input, 1 for a disk that did not take what there was."""
+    return 1 if isinstance(error, DiskError) else 2

@@ -12,6 +12,7 @@ from deepseis_core.ros import codecs, diagnostics, qos
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
+from deepseis_core.ros.steady import every
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import Observations as ObservationsValue
 from deepseis_frontend.base_events import BaseReference, utc_of
@@ -75,7 +76,7 @@ class BaseSourceNode(Node):
         if self.link is not None:
             # Not through the flow: what depends on the network counts for nothing else.
             self.health = self.create_publisher(DiagnosticArray, "/diagnostics", qos.STREAM)
-            self.create_timer(0.02, self.work)
+            every(self, 0.02, self.work)
         self.flow.follow(["if_source"], self.on_source)
 
     def on_source(self, msg: Watermark) -> None:

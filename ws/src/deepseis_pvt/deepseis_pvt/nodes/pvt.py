@@ -93,7 +93,9 @@ class PvtNode(Node):
         self.products: RinexProducts | None = None
         if config.output_dir:
             station = RinexStation(name=config.station_name)
-            self.products = RinexProducts(config.output_dir, station)
+            self.products = RinexProducts(
+                config.output_dir, station, patient=not self.flow.lockstep
+            )
         self.precise = precise_positions(
             config.position_ecef,
             self.engine.book,
@@ -275,6 +277,8 @@ class PvtNode(Node):
         level = diagnostics.OK if self.engine.clock and not counts["forced"] else diagnostics.WARN
         if self.precise.base_trouble:
             level, text = diagnostics.WARN, f"{text}; {self.precise.base_trouble}"
+        if self.products is not None and self.products.lost:
+            counts["rinex_epochs_lost"], level = self.products.lost, diagnostics.WARN
         self.diagnostics.publish(diagnostics.encoded("pvt", level, text, counts, utc_ns))
         if self.realtime is not None:
             self.realtime.publish(utc_ns)
