@@ -14,6 +14,7 @@ from deepseis_core.constants import L1_WAVELENGTH, SPEED_OF_LIGHT
 from deepseis_core.ephemeris import pack, states_from_pseudoranges
 from deepseis_core.geodesy import ecef_from_enu, geodetic_from_ecef, rotation_enu_ecef
 from deepseis_core.imu_grades import ImuGrade, grade_named
+from deepseis_core.miss_log import MissScript
 from deepseis_core.propagation import line_of_sight
 from deepseis_core.types import (
     Ephemeris,
@@ -126,10 +127,11 @@ class FusionBench:
         *,
         ranges: RangeConfig | None = None,
         ldv_config: LdvFusionConfig | None = None,
+        script: MissScript | None = None,
         **inputs: Any,
     ) -> FusionEngine:
         """Return an engine that has been given everything; ``inputs`` replace the run's own."""
-        engine = self.empty_engine(config, ranges, ldv_config)
+        engine = self.empty_engine(config, ranges, ldv_config, script)
         given = {**vars(self.inputs), **inputs}
         for sample in given["imu"]:
             engine.push_imu(sample)
@@ -156,17 +158,18 @@ class FusionBench:
         config: FusionConfig | None = None,
         ranges: RangeConfig | None = None,
         ldv: LdvFusionConfig | None = None,
+        script: MissScript | None = None,
     ) -> FusionEngine:
         """Return an engine that knows the orbits only."""
         config = config or FusionConfig()
         given = config, self.grade, self.sample_rate_hz, self.bench.station(), self.imu_rate_hz
         engine: FusionEngine
         if config.coupling == "tight":
-            engine = TightFusionEngine(*given, tight=OCXO, ranges=ranges)
+            engine = TightFusionEngine(*given, tight=OCXO, ranges=ranges, script=script)
         elif config.coupling == "ldv":
-            engine = LdvFusionEngine(*given, ldv=ldv)
+            engine = LdvFusionEngine(*given, ldv=ldv, script=script)
         else:
-            engine = FusionEngine(*given)
+            engine = FusionEngine(*given, script=script)
         for ephemeris in self.ephemerides:
             engine.push_ephemeris(ephemeris)
         return engine

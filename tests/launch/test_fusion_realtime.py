@@ -1,4 +1,7 @@
-"""The closed loop by the clock: lockstep bytes until a miss, within the filter's sigma after."""
+"""The closed loop by the clock: lockstep bytes until a miss, within the filter's sigma after.
+
+Replayed with its misses it gives its own bytes throughout.
+"""
 
 import contextlib
 import os
@@ -14,6 +17,7 @@ import pytest
 from deepseis_bringup.accept_scene import RATE_HZ, Scene, aided
 from deepseis_bringup.graph import build_graph
 from deepseis_bringup.graph_payloads import run_graph
+from deepseis_bringup.recorded_misses import recorded_misses
 from deepseis_bringup.recording_queue import stamp_of_cdr
 from deepseis_bringup.supervisor import Supervisor, own_domain, running
 from deepseis_bringup.watch import GraphWatch
@@ -23,12 +27,14 @@ from deepseis_sim import scenario as scenarios
 from deepseis_sim.motions import Circle
 from deepseis_sim.sky import SkyConfig
 
-pytestmark = [pytest.mark.launch, pytest.mark.slow, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.launch, pytest.mark.slow, pytest.mark.timeout(400)]
 
 BUSY = os.getloadavg()[0] > 2 * (os.cpu_count() or 1)
 PACE = 0.5 if BUSY else 1.5
 ONSET, STOP, LENGTH = 6.5, 8.0, 11.0
 STOPPED_S = 0.3
+PAUSES = {"fusion": STOP, "trackers": STOP + 1.0, "pvt": STOP + 1.7}
+"""Who stands still, and from when on [s]."""
 BLOCK_NS = 20_000_000
 
 
@@ -51,7 +57,7 @@ def lockstep(scene, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def live(scene, tmp_path_factory):
-    """The same by the clock; the fusion's process stands still for 0.3 s during the motion."""
+    """The same by the clock; three processes stand still for 0.3 s each during the motion."""
     folder, config = tmp_path_factory.mktemp("live"), scene.config(aided(8.0))
     config = replace(
         config,
@@ -62,20 +68,29 @@ def live(scene, tmp_path_factory):
         output_dir=str(folder),
         watched=True,
     )
-    stopped = False
+    stopped = set()
     with own_domain() as environment:
         nodes = Supervisor(build_graph(config), folder, environment=environment)
         with running(nodes), GraphWatch(environment) as watch:
 
             def poll():
-                nonlocal stopped
-                if watch.poll() > STOP * RATE_HZ and not stopped:
-                    stopped = True
-                    pause(nodes.processes["fusion"].pid)
+                now = watch.poll() / RATE_HZ
+                for name, begin in PAUSES.items():
+                    if now > begin and name not in stopped:
+                        stopped.add(name)
+                        pause(nodes.processes[name].pid)
 
             nodes.wait(poll=poll, timeout=120)
     run = graph_runs.Run(folder, {})
     return run, {name.lstrip("/"): data for name, data in run.payloads().items()}
+
+
+@pytest.fixture(scope="module")
+def replayed(scene, live, tmp_path_factory):
+    """The live run again, in lockstep, waiting for no more than it did."""
+    found = recorded_misses(live[0].bag)
+    config = replace(scene.config(aided(8.0)), misses=found.by_member)
+    return run_graph(config, tmp_path_factory.mktemp("replayed") / "run")
 
 
 def pause(pid):
@@ -93,7 +108,8 @@ def misses(run):
     for name, said in run.statuses().items():
         for _, _, values in said if name.endswith(" misses") else ():
             for what, runs in values.items():
-                pairs = [tuple(map(int, pair.split("-"))) for pair in runs.split()]
+                samples = [text.partition("@")[0] for text in runs.split()]
+                pairs = [tuple(map(int, text.split("-"))) for text in samples]
                 found[name.removesuffix(" misses"), what] += pairs
     return found
 
@@ -105,7 +121,7 @@ def test_every_miss_is_listed_by_its_samples(live):
     for begin, end in listed["trackers", "aiding"]:
         blocks.update(range(begin, end + 1, 80_000))
     missed = STOPPED_S - 0.05  # the deadline passes first
-    around = [b for b in blocks if STOP - 0.5 < b / RATE_HZ < STOP + 1.5]
+    around = [b for b in blocks if STOP - 0.5 < b / RATE_HZ < STOP + 1.0]
     assert len(around) >= 0.5 * missed * PACE / 0.02
     level, _, values = run.statuses()["trackers"][-1]
     assert (level, int(values["aid_missed"])) == (1, len(blocks))
@@ -135,6 +151,16 @@ def test_until_the_first_miss_the_bytes_are_those_of_lockstep(live, lockstep):
         assert one == other, topic
         compared += len(one)
     assert compared > 100 or first / RATE_HZ < 1.0
+
+
+def test_a_replay_with_its_misses_gives_its_bytes(live, replayed, lockstep):
+    run, payloads = live
+    kinds = {(node, "pvt" if what.startswith("G") else what) for node, what in misses(run)}
+    assert kinds >= {("trackers", "aiding"), ("fusion", "pvt"), ("pvt", "pvt")}
+    topics = sorted(lockstep.keys() - {"diagnostics"})
+    assert len(topics) > 15
+    assert [t for t in topics if payloads.get(t) != replayed.get(t)] == []
+    assert [t for t in topics if payloads.get(t) != lockstep.get(t)] != []
 
 
 def test_the_samples_are_the_same_throughout(live, lockstep):

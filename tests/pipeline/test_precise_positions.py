@@ -187,11 +187,14 @@ def test_an_epoch_waits_for_its_base_and_for_the_state_of_motion(bench):
     fresh = PrecisePositions(
         PhasePositions(HERE, bench.book(), PreciseConfig(wait_motion=True)), made.rtk, True
     )
-    assert fresh.allowed_through == -1
+    assert fresh.late(0) == {"motion": -1}
     fresh.motion_valid(1000)
-    assert fresh.allowed_through == 1000
+    assert fresh.late(1000) == {}
+    assert fresh.late(1001) == {"motion": 1000}
     fresh.motion_valid(10**12)
-    assert fresh.allowed_through == int(SECONDS * RATE) + round(0.2 * RATE)
+    last = int(SECONDS * RATE) + round(0.2 * RATE)
+    assert fresh.late(last) == {}
+    assert fresh.late(last + 1) == {"base": int(SECONDS * RATE)}
 
 
 def test_a_new_orbit_does_not_move_the_antenna(bench):

@@ -22,6 +22,7 @@ from deepseis_bringup.recovery import recover_bag
 from deepseis_bringup.ros_definitions import Definitions, TopicQos
 from deepseis_core.errors import InputError
 from deepseis_core.interface import INTERFACE_VERSION
+from deepseis_core.mcap_scan import McapScan
 from deepseis_frontend.if_bag import IfBag, bag_files
 
 IF_TYPE, TEST_TYPE = "deepseis_msgs/msg/IfBlock", "test_msgs/msg/Pair"
@@ -357,3 +358,37 @@ def test_a_recording_in_progress_can_be_read(tmp_path):
                 time.sleep(0.02)
         else:
             pytest.fail("five blocks were not in the file within 10 s")
+
+
+def test_what_was_logged_long_before_is_passed_over_unread(tmp_path, monkeypatch):
+    monkeypatch.setattr("deepseis_bringup.mcap_file.CHUNK_BYTES", 1 << 16)
+    with BagWriter(tmp_path / "bag", {}, definitions=definitions(), compression="none") as bag:
+        for k in range(500):  # 10 s; a chunk holds 32 blocks
+            stamp = 10**18 + k * 20_000_000
+            bag.write("/if/samples", IF_TYPE, if_message(k * COUNT), stamp, stamp)
+            if k == 100:
+                bag.write("/rare", TEST_TYPE, pair_message(k), stamp, stamp)
+        for k in (480, 490):
+            bag.write("/rare", TEST_TYPE, pair_message(k), 10**18 + k * 20_000_000, 0)
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    since_ns = 10**18 + 8 * 10**9
+
+    def samples_of(channel):
+        return channel.topic == "/if/samples"
+
+    everything = [bytes(m.data) for m in McapScan(file).messages(samples_of)]
+    late = [bytes(m.data) for m in McapScan(file).messages(samples_of, since_ns=since_ns)]
+    assert late == everything[-len(late) :]
+    assert 100 <= len(late) <= 100 + 33, "no more than a chunk too many"
+    # A topic that was declared in a chunk passed over is known all the same.
+    both = [m.channel.topic for m in McapScan(file).messages(since_ns=since_ns)]
+    assert both.count("/rare") == 2
+    # Damage in a chunk passed over is not met: it is not read.
+    data = bytearray(file.read_bytes())
+    place = data.find(samples(150 * COUNT).tobytes())
+    data[place + 10] ^= 0xFF
+    file.write_bytes(data)
+    with pytest.raises(InputError, match="damaged"):
+        list(McapScan(file).messages(samples_of))
+    again = [bytes(m.data) for m in McapScan(file).messages(samples_of, since_ns=since_ns)]
+    assert again == late

@@ -69,8 +69,10 @@ def test_it_says_who_is_missing(clock):
     assert restarts.due() == ["fusion"]
     assert restarts.due() == []
     assert (restarts.missing, restarts.fates["fusion"].state) == (["fusion"], State.JOINING)
+    clock.now += 1.25
     restarts.joined("fusion")
     assert (restarts.missing, restarts.count) == ([], 1)
+    assert restarts.fates["fusion"].away_s == 1.25
 
 
 # The supervisor: processes are small scripts that read their parameters.

@@ -1,4 +1,4 @@
-from deepseis_core.ros.counted import CountedInput
+from deepseis_core.counted import CountedInput
 
 
 def test_a_watermark_holds_once_its_messages_are_there():

@@ -44,6 +44,14 @@ def test_samples_are_those_of_the_bench_on_the_signal_s_clock(tmp_path, rate_hz)
     )
 
 
+def test_a_source_that_joins_gets_the_samples_from_now_on(tmp_path):
+    path, clock = bag(tmp_path / "a")
+    read = ImuBag(path, clock)
+    everything = [s.sample_index for s in read.samples()]
+    since = everything[120] + 1
+    assert [s.sample_index for s in read.samples(since)] == everything[121:]
+
+
 def test_a_bag_without_imu_is_refused(tmp_path):
     path, clock = bag(tmp_path / "a", imu=None)
     with pytest.raises(InputError, match="no IMU samples"):

@@ -10,7 +10,8 @@ from fusion_bench import EVERYTHING, FusionBench, as_bytes, motion, watermarks
 
 from deepseis_core.errors import InputError
 from deepseis_core.imu_grades import grade_named
-from deepseis_core.types import MotionKind, PvtStatus
+from deepseis_core.miss_log import EVER, MissLog, MissScript
+from deepseis_core.types import MotionKind, MotionState, PvtStatus
 from deepseis_ins.fusion_config import FusionConfig
 from deepseis_ins.fusion_engine import FusionEngine
 from deepseis_ins.fusion_output import FusionStatus
@@ -135,6 +136,50 @@ def test_late_inputs_in_realtime_lead_back_to_the_same_bytes(
     after = [k for k, (begin, _, _) in enumerate(got) if begin >= 14.8 * RATE]
     assert [got[k][1] for k in after] == [plain[k] for k in after]
     assert any(got[k][1] != plain[k] for k in range(after[0]))
+
+
+def test_a_replay_of_what_was_not_waited_for_gives_the_same_bytes(
+    run: FusionBench, plain: list[bytes]
+) -> None:
+    random, engine, log, got = np.random.default_rng(5), run.empty_engine(), MissLog(), []
+    inputs = [
+        (run.inputs.imu, engine.push_imu, engine.imu_valid),
+        (run.inputs.motion, engine.push_motion, engine.motion_valid),
+        (run.inputs.pvt, engine.push_pvt, engine.pvt_valid),
+    ]
+    places, engine_end = [0, 0, 0], run.bench.sample_count
+    late_until = [0, 0, 0]
+    while engine.next_sample + engine.block <= engine_end:
+        now = engine.next_sample + engine.block
+        for k, (items, push, valid) in enumerate(inputs):
+            if random.random() < 0.02:  # it hangs for up to a second
+                late_until[k] = now + int(random.integers(0, RATE))
+            if now < late_until[k]:
+                continue
+            # Some messages are there before the watermark that speaks for them.
+            ahead = now + int(random.integers(0, 400_000))
+            while places[k] < len(items) and _at(items[places[k]]) <= ahead:
+                push(items[places[k]])
+                places[k] += 1
+            valid(now)
+        engine.source_valid(now)
+        output = engine.advance(force=True)
+        assert output is not None
+        got.append(as_bytes(output))
+        for what, through in engine.missed.items():
+            log.note(what, now - engine.block, engine.block, through)
+    script = MissScript(f"{what} {runs}" for what, runs in log.take().items())
+    assert {what for what in ("imu", "motion", "pvt") if script.limit(what, 0) < EVER} == {
+        "imu", "motion", "pvt",
+    }  # fmt: skip
+    assert sum(a != b for a, b in zip(got, plain, strict=True)) > 100
+    replayed = [as_bytes(item) for item in run.run(run.engine(script=script)).spans]
+    assert replayed == got
+
+
+def _at(item: object) -> int:
+    """Return the sample through which a message is known."""
+    return int(item.valid_through if isinstance(item, MotionState) else item.sample_index)  # type: ignore[attr-defined]
 
 
 def test_a_constraint_that_overlapped_the_motion_is_undone_exactly(run: FusionBench) -> None:

@@ -20,6 +20,7 @@ from unit.pvt.tracked_signals import (
     visible,
 )
 
+from deepseis_core.miss_log import MissLog, MissScript
 from deepseis_core.types import PvtStatus, TrackingMode
 from deepseis_pvt.observables import ObservablesConfig
 from deepseis_pvt.pvt_engine import PvtConfig, PvtEngine
@@ -125,6 +126,67 @@ def test_the_order_of_arrival_does_not_matter(still, seed):
         if rng.random() < 0.5:
             out += made.advance()
     assert same(out + made.advance(), expected)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_replay_of_what_was_not_waited_for_gives_the_same_bytes(still, seed):
+    """In the live run satellites hang for up to 0.3 s, and one has an ephemeris decoded then."""
+    rng, log, out = random.Random(seed), MissLog(), []
+    decoding = visible()[seed]
+    decoded = dataclasses.replace(ephemeris(int(decoding[1:])), effective_sample_index=2_400_000)
+    still = dict(still)
+    still[decoding] = [
+        dataclasses.replace(m, ephemeris_count=int(m.valid_through >= 1_999_999))
+        for m in still[decoding]
+    ]
+
+    def made(script=None):
+        new = PvtEngine(
+            PvtConfig(), RATE, visible(), observables=ObservablesConfig(), spp=AIRLESS,
+            script=script,
+        )  # fmt: skip
+        for name in visible():
+            if name != decoding:
+                new.push_ephemeris(ephemeris(int(name[1:])))
+        return new
+
+    def push(engine, name, one):
+        if name == decoding and one.valid_through == 1_999_999:
+            engine.push_ephemeris(decoded)
+        engine.push_epochs(one)
+
+    def work(engine, force=None):
+        for epoch in engine.steps(force):
+            count = engine.valid_through + 1 - engine.worked_through
+            for what, through in engine.missed.items():
+                log.note(what, engine.worked_through, count, through)
+            if epoch is not None:
+                out.append(epoch)
+
+    live, place, hangs = made(), dict.fromkeys(still, 0), dict.fromkeys(still, 0)
+    blocks = len(still[decoding])
+    for number in range(blocks):
+        for name, batch in still.items():
+            if rng.random() < 0.03:
+                hangs[name] = number + rng.randrange(15)
+            while place[name] <= number and number >= hangs[name]:
+                push(live, name, batch[place[name]])
+                place[name] += 1
+        work(live, force=(number - 3) * 80_000)
+    for name, batch in still.items():
+        for one in batch[place[name] :]:
+            push(live, name, one)
+    work(live, live.newest_sample())
+    script = MissScript(f"{what} {runs}" for what, runs in log.take().items())
+    assert live.statistics["forced"] > 10
+    again = made(script)
+    for name, batch in still.items():
+        for one in batch:
+            push(again, name, one)
+    replayed = again.advance() + again.advance(again.newest_sample())
+    assert same(replayed, out)
+    assert again.statistics["forced"] == live.statistics["forced"]
+    assert not same(run(engine(), still), out)
 
 
 def test_work_waits_for_an_announced_ephemeris(still):

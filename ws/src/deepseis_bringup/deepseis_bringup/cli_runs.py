@@ -59,6 +59,12 @@ def replay(
     without_if: Annotated[
         bool, typer.Option("--without-if", help="Do not record the samples again.")
     ] = False,
+    without_misses: Annotated[
+        bool,
+        typer.Option(
+            "--without-misses", help="Wait also for what the recorded realtime run did not."
+        ),
+    ] = False,
     without_imu: Annotated[
         bool, typer.Option("--without-imu", help="Leave the IMU aside: loops without aiding.")
     ] = False,
@@ -84,8 +90,9 @@ def replay(
     r"""Run a recorded run's samples through the graph again.
 
     In lockstep (default) the same bag gives the same bytes on every topic and in the RINEX
-    files, with one process or many, on a loaded machine or an idle one. --realtime keeps the
-    pace of the clock; what misses a deadline is flagged in the data and counted.
+    files, with one process or many, on a loaded machine or an idle one; a realtime run's bytes
+    come again with its misses. --realtime keeps the pace of the clock; what misses a deadline is
+    flagged in the data and counted.
 
     \b
     Example:
@@ -101,6 +108,7 @@ def replay(
             record_if=not without_if,
             aiding="" if without_imu else "auto",
             base_from=base,
+            repeat_misses=not without_misses,
             parameters=coupled(parameters_of(settings or ()), coupling),
             web=web_options(web, web_address, web_token_file, web_name),
         )

@@ -15,7 +15,7 @@ ALL_SATELLITES = tuple(f"G{prn:02d}" for prn in range(1, 33))
 
 TYPES: Mapping[str, tuple[str, str]] = {
     "if/samples": ("deepseis_msgs/msg/IfBlock", "stream"),
-    "imu/data_raw": ("sensor_msgs/msg/Imu", "stream"),
+    "imu/data_raw": ("sensor_msgs/msg/Imu", "imu"),
     "ldv/velocity": ("deepseis_msgs/msg/LdvVelocity", "stream"),
     "base/observations": ("deepseis_msgs/msg/Observations", "stream"),
     "base/reference": ("deepseis_msgs/msg/Station", "latched"),
@@ -67,6 +67,7 @@ class GraphConfig:
     source's bag, or ``base_from`` says where: a bag, RINEX, RTCM 3 from a file, NTRIP or TCP.
     ``imu_file``: where the IMU is, if not in the bag that is the source.
     ``watched``: a `deepseis_bringup.watch.GraphWatch` looks on, and the source waits for it.
+    ``misses``: lockstep: what the run that is replayed did not wait for, by node.
     ``parameters`` are overrides by node kind (``if_source``, ``tracker``, ``pvt``, ...).
     """
 
@@ -83,6 +84,7 @@ class GraphConfig:
     record_if: bool = True
     output_dir: str = ""
     watched: bool = False
+    misses: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
@@ -397,5 +399,7 @@ def _finish(spec: NodeSpec, nodes: list[NodeSpec], config: GraphConfig) -> NodeS
         if count:
             expected.append(f"{topic}={count}")
     extra: dict[str, Any] = {"mode": config.mode, "expected_subscribers": expected}
+    if config.mode == "lockstep" and config.misses.get(spec.name):
+        extra["misses"] = list(config.misses[spec.name])
     extra["flow_stride_ms"] = 0 if config.aiding or config.mode == "realtime" else 100
     return _with(spec, extra | dict(config.parameters.get(spec.kind, {})))

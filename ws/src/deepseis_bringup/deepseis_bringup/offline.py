@@ -6,7 +6,7 @@ that the graph publishes, in order of validity. Encoded, they are the graph's by
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
@@ -119,6 +119,7 @@ class OfflineChain:
             assistance_of(known.get("position_ecef", ()), self.clock, troposphere=troposphere)
         )
         self.precise = _precise(config, known, self.pvt.book)
+        self.pvt.witnesses = self.precise.late
         self._base: BasePlayer | None = None
         if config.base:
             events = base_events(config.base_from or chosen.file, self.clock)
@@ -172,7 +173,6 @@ class OfflineChain:
                 yield Output("base/observations", event, utc_of(event))
                 self.precise.push_base(event)
         self.precise.base_valid(through)
-        self.pvt.allowed_through = self.precise.allowed_through
 
     def _search(self) -> Iterator[Output]:
         engine = self.acquisition
@@ -205,8 +205,11 @@ class OfflineChain:
         self.acquisition.tracker_valid(TRACKERS, last, engine.request_count)
 
     def _positions(self, force_through: int | None = None) -> Iterator[Output]:
-        for observations, pvt in self.pvt.advance(force_through):
-            for output in _solved(observations, pvt, self.precise):
+        for epoch in self.pvt.steps(force_through):
+            if epoch is None:
+                continue
+            observations, pvt = epoch
+            for output in _solved(observations, pvt, self.precise, self.pvt.missed):
                 yield output
                 if self.inertial is not None:
                     self.inertial.push_position(output.topic, output.value)
@@ -215,14 +218,17 @@ class OfflineChain:
 
 
 def _solved(
-    observations: Observations, pvt: Pvt | None, precise: PrecisePositions
+    observations: Observations,
+    pvt: Pvt | None,
+    precise: PrecisePositions,
+    missed: Mapping[str, int],
 ) -> Iterator[Output]:
     utc_ns = _utc_ns(observations)
     yield Output("gnss/observations", observations, utc_ns)
     if pvt is not None:
         yield Output("gnss/pvt", pvt, utc_ns)
         yield Output("gnss/fix", pvt, utc_ns)
-    for topic, value in precise.solve(observations):
+    for topic, value in precise.solve(observations, missed):
         yield Output(topic, value, utc_ns)
 
 

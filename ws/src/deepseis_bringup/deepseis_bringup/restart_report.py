@@ -58,7 +58,9 @@ class RestartReport:
     def _publish(self, utc_ns: int) -> None:
         restarts = self.restarts
         level = diagnostics.ERROR if restarts.missing else diagnostics.WARN
-        values = {"restarts": restarts.count}
-        values |= {f"restarts_{name}": fate.restarts for name, fate in restarts.fates.items()}
+        values: dict[str, object] = {"restarts": restarts.count}
+        for name, fate in restarts.fates.items():
+            values[f"restarts_{name}"] = fate.restarts
+            values[f"away_s_{name}"] = f"{fate.away_s:.2f}"
         text = restarts.text()
         self.publisher.publish(diagnostics.encoded(NAME, level, text, values, utc_ns))

@@ -8,7 +8,7 @@ from enum import Enum
 from time import monotonic
 from typing import Final
 
-NEVER: Final = frozenset({"if_source", "base_source", "ldv_source", "recorder"})
+NEVER: Final = frozenset({"if_source", "ldv_source", "recorder"})
 """Nodes without which there is no run, or that cannot join one: their death ends it."""
 
 
@@ -48,6 +48,8 @@ class Fate:
     deaths: list[float] = field(default_factory=list)
     restarts: int = 0
     reason: str = ""
+    away_s: float = 0.0
+    """From the last death to the first word of the new process [s]."""
 
 
 class Restarts:
@@ -118,7 +120,8 @@ class Restarts:
     def joined(self, name: str) -> None:
         """Note that a restarted node is part of the graph again."""
         if name in self.fates and self.fates[name].state is State.JOINING:
-            self.fates[name].state = State.RUNNING
+            fate = self.fates[name]
+            fate.state, fate.away_s = State.RUNNING, self.clock() - fate.deaths[-1]
 
     def waits(self, name: str) -> bool:
         """Tell whether a node is dead and waits to be started again."""

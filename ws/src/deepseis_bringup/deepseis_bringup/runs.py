@@ -23,6 +23,7 @@ from deepseis_bringup.inertial import (
     installed_parameters,
 )
 from deepseis_bringup.live_page import LivePage, live_page
+from deepseis_bringup.recorded_misses import recorded_misses
 from deepseis_bringup.restarts import Restarts
 from deepseis_bringup.run_records import input_hash, recorded_run, versions, with_records
 from deepseis_bringup.supervisor import NodeFailureError, Supervisor, own_domain, running
@@ -74,6 +75,8 @@ class RunOptions:
     base_from: str = ""
     imu_file: str = ""
     installation: Installation | None = None
+    repeat_misses: bool = True
+    misses: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     timeout: float | None = None
     web: WebOptions | None = None
@@ -296,6 +299,7 @@ def graph_config(
         record_dir=str((folder / "bag").resolve()) if options.record else "",
         record_if=options.record_if,
         output_dir=str(folder.resolve()),
+        misses=options.misses,
         parameters=parameters,
     )
 
@@ -330,7 +334,8 @@ def replay(
     """Run the graph again on a recorded bag's samples, with the parameters of the recorded run.
 
     Where the bag lies in a folder with the truth of its simulation, the report compares with it;
-    with an IMU in the bag and orbits (``nav.rnx``) beside it the station starts assisted.
+    with an IMU in the bag and orbits (``nav.rnx``) beside it the station starts assisted. What a
+    realtime run did not wait for, its replay in lockstep does not wait for either.
     """
     from deepseis_bringup.report import write_report
 
@@ -359,9 +364,22 @@ def replay(
     placed = options.parameters.get("pvt", {})
     told = "base_position_ecef" in placed or knows_its_base(bag)
     options = replace(options, base=with_base and told and "position_ecef" in placed)
+    if options.mode == "lockstep" and options.repeat_misses:
+        options = with_misses(options, bag)
     figures = run_recording(Selection(str(bag)), folder, options)
     with console.status("writing the report"):
         return write_report(folder, truth=_truth_beside(bag), title=title, extra=figures)
+
+
+def with_misses(options: RunOptions, bag: Path) -> RunOptions:
+    """Return the options of a replay that repeats the misses of a recorded realtime run."""
+    found = recorded_misses(bag)
+    if found.restarts:
+        text = f"deepseis: {found.restarts} restarts of nodes in this run are not repeated"
+        console.print(text, highlight=False)
+    if not found.by_member:
+        return options
+    return replace(options, misses=found.by_member, one_process=found.one_process)
 
 
 def _truth_beside(bag: Path) -> Path | None:

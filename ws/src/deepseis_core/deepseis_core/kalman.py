@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from scipy.stats import chi2
+from scipy.special import chdtri, gammaincinv
 
 from deepseis_core.errors import InputError
 from deepseis_core.types import FloatArray
@@ -225,7 +225,7 @@ def discretise(F: FloatArray, Q: FloatArray, dt: float) -> tuple[FloatArray, Flo
 
 def chi_square_limit(dof: int, false_alarm_probability: float) -> float:
     """Return what a chi-square of so many degrees of freedom exceeds with the probability."""
-    return float(chi2.isf(false_alarm_probability, dof))
+    return float(chdtri(dof, false_alarm_probability))
 
 
 def chi_square_band(dof: int, count: int, probability: float = 0.95) -> tuple[float, float]:
@@ -246,5 +246,6 @@ def chi_square_band(dof: int, count: int, probability: float = 0.95) -> tuple[fl
     [2.539, 3.499]
     """
     tail = 0.5 * (1.0 - probability)
-    low, high = (float(chi2.ppf(part, dof * count)) / count for part in (tail, 1.0 - tail))
+    parts, freedom = (tail, 1.0 - tail), dof * count
+    low, high = (2.0 * float(gammaincinv(freedom / 2.0, part)) / count for part in parts)
     return low, high

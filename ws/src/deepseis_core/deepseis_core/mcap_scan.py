@@ -33,12 +33,15 @@ RECORD_LIMIT: Final = 1 << 30  # [bytes] larger ones are damage: ours are some m
 MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
 RECORD_HEAD: Final = struct.Struct("<BQ")
 CHUNK_HEAD: Final = struct.Struct("<QQQII")
+CHUNK_TIMES: Final = struct.Struct("<QQ")
 LAST_OPCODE: Final = int(Opcode.DATA_END)
 PRIVATE_OPCODE: Final = 0x80  # opcodes from here on are for others' use, and skipped
 CHUNK_START: Final = re.compile(
     rb"\x06(?=(.{8}.{28}(?:\x04\x00{3}zstd|\x03\x00{3}lz4|\x00{4})))", re.DOTALL
 )
 """Opcode, length, head and compression of a chunk."""
+LOGGED_EARLY_NS: Final = 5_000_000_000
+"""A message may be logged so much earlier than others of its stamp [ns]."""
 RECOVER: Final = "try: deepseis recover BAG"
 
 
@@ -117,10 +120,21 @@ class McapScan:
         self.damaged_chunks = 0
         self._damage: set[int] = set()
         self._schemas: dict[int, records.Schema] = {}
+        self._passed: list[tuple[int, int]] = []
         _require_mcap(self.path)
 
-    def messages(self, wanted: Callable[[Channel], bool] | None = None) -> Iterator[Message]:
+    def messages(
+        self, wanted: Callable[[Channel], bool] | None = None, *, since_ns: int = 0
+    ) -> Iterator[Message]:
         """Yield the messages of the wanted channels in the order of the file.
+
+        Parameters
+        ----------
+        wanted : callable, optional
+            Tells of a channel; all if not given.
+        since_ns : int, optional
+            Log time [ns]: chunks that end before are passed over without being read, once a
+            wanted channel is known.
 
         Raises
         ------
@@ -152,6 +166,13 @@ class McapScan:
                     if length > RECORD_LIMIT:
                         file.seek(length, os.SEEK_CUR)
                         raise _Damage("its length is impossible")
+                    if since_ns and opcode == Opcode.CHUNK and self._knows(wanted):
+                        _, end_ns = CHUNK_TIMES.unpack(file.read(CHUNK_TIMES.size))
+                        file.seek(-CHUNK_TIMES.size, os.SEEK_CUR)
+                        if end_ns < since_ns:
+                            self._passed.append((file.tell(), length))
+                            file.seek(length, os.SEEK_CUR)
+                            continue
                     yield from self._record(opcode, file.read(length), wanted)
                     trusted = file.tell() if opcode == Opcode.CHUNK else trusted
                 except _ERRORS as error:
@@ -180,6 +201,18 @@ class McapScan:
         """Count damage between chunks, unless it is that of the chunk before."""
         self.damaged_chunks += at - 1 not in self._damage
         self._damage.add(at)
+
+    def _knows(self, wanted: Callable[[Channel], bool] | None) -> bool:
+        return any(wanted is None or wanted(channel) for channel in self.channels.values())
+
+    def _read_passed(self) -> None:
+        """Read what was declared in chunks that were passed over."""
+        passed, self._passed = self._passed, []
+        with self.path.open("rb") as file:
+            for place, length in passed:
+                file.seek(place)
+                for _ in self._chunk(file.read(length), lambda _channel: False):
+                    pass
 
     @property
     def has_end(self) -> bool:
@@ -266,6 +299,8 @@ class McapScan:
         self, record: memoryview, wanted: Callable[[Channel], bool] | None
     ) -> Iterator[Message]:
         number, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(record)
+        if number not in self.channels and self._passed:
+            self._read_passed()
         channel = self.channels.get(number)
         if channel is None:
             raise _Damage(f"a message of the undeclared channel {number}")

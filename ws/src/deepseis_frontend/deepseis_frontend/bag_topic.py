@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from deepseis_core.errors import InputError
 from deepseis_core.interface import RECORD, require_interface
-from deepseis_core.mcap_scan import Channel, McapScan
+from deepseis_core.mcap_scan import LOGGED_EARLY_NS, Channel, McapScan
 
 
 def is_on(channel: Channel, topic: str) -> bool:
@@ -20,6 +21,7 @@ def bag_values(
     path: Path,
     files: Sequence[Path],
     topics: Mapping[str, tuple[str, Callable[[bytes], Any]]],
+    since_ns: int = 0,
 ) -> Iterator[Any]:
     """Yield what the messages on some topics of a bag say, as recorded.
 
@@ -32,6 +34,8 @@ def bag_values(
     topics : mapping
         Type that each topic must have, and what decodes its messages: a `ValueError` means that
         one cannot be read.
+    since_ns : int, optional
+        UTC [ns]: parts of the bag that were written long before this are not read.
 
     Raises
     ------
@@ -51,7 +55,7 @@ def bag_values(
 
     for file in files:
         scan = McapScan(file)
-        for message in scan.messages(is_wanted):
+        for message in scan.messages(is_wanted, since_ns=_log_time(file, is_wanted, since_ns)):
             if RECORD in scan.metadata:
                 require_interface(file, scan.metadata)
             try:
@@ -60,6 +64,15 @@ def bag_values(
                 reason = f"holds an unreadable message on {message.channel.topic}: {error}"
                 raise InputError(file, reason) from None
             yield value
+
+
+def _log_time(file: Path, is_wanted: Callable[[Channel], bool], since_ns: int) -> int:
+    """Return the log time [ns] before which no message of a stamp has been written."""
+    first = next(McapScan(file).messages(is_wanted), None) if since_ns else None
+    if first is None:
+        return 0
+    seconds, nanoseconds = struct.unpack_from("<iI", first.data, 4)
+    return since_ns + first.log_time_ns - (seconds * 10**9 + nanoseconds) - LOGGED_EARLY_NS
 
 
 def later(path: Path, what: str, sample_index: int, last: int, hint: str) -> int:

@@ -51,8 +51,13 @@ class ImuBag:
         step = float(np.median(np.diff(ends))) / clock.sample_rate_hz
         self.rate_hz = _plain(1.0 / step)
 
-    def samples(self) -> Iterator[ImuSample]:
+    def samples(self, since: int = 0) -> Iterator[ImuSample]:
         """Yield the samples as recorded.
+
+        Parameters
+        ----------
+        since : int, optional
+            IF sample: those before it are left out, and what was written long before is not read.
 
         Raises
         ------
@@ -61,9 +66,11 @@ class ImuBag:
         """
         topics = {TOPIC: (TYPE, lambda data: decode_imu(data, self.clock)[0])}
         last, hint = -1, "the bag holds two IMUs, or two runs"
-        for sample in bag_values(self.path, self.files, topics):
+        since_ns = self.clock.utc_ns(since) if since else 0
+        for sample in bag_values(self.path, self.files, topics, since_ns):
             last = later(self.path, "IMU sample", sample.sample_index, last, hint)
-            yield sample
+            if sample.sample_index >= since:
+                yield sample
 
 
 def _plain(rate_hz: float) -> float:

@@ -146,8 +146,8 @@ class ImuFile:
         self.rate_hz = round(rate, 3) if abs(round(rate, 3) - rate) < 1e-5 * rate else rate
         self._require_gravity()
 
-    def samples(self) -> Iterator[ImuSample]:
-        """Yield the samples from sample 0 of the IF on.
+    def samples(self, since: int = 0) -> Iterator[ImuSample]:
+        """Yield the samples from a sample of the IF on.
 
         Raises
         ------
@@ -161,7 +161,7 @@ class ImuFile:
         for seconds, values in self._rows():
             utc_ns = self.clock.start_utc_ns + shift_ns + round(seconds * 1e9)
             sample = self.clock.sample_at(utc_ns)
-            if sample < 0:
+            if sample < since:
                 continue
             rate, force = self._turn @ values[3:], self._turn @ values[:3]
             yield ImuSample(sample, rate_scale * rate, force_scale * force, 0.0, 0.0)

@@ -19,8 +19,8 @@ class ImuRecording(Protocol):
 
     rate_hz: float
 
-    def samples(self) -> Iterator[ImuSample]:
-        """Yield the samples in order."""
+    def samples(self, since: int = 0) -> Iterator[ImuSample]:
+        """Yield the samples from an IF sample on, in order."""
         ...
 
 

@@ -89,8 +89,8 @@ class ImuRosbag:
         self.rate_hz = round(rate, 3) if abs(round(rate, 3) - rate) < 1e-5 * rate else rate
         self._require_gravity()
 
-    def samples(self) -> Iterator[ImuSample]:
-        """Yield the samples from sample 0 of the IF on.
+    def samples(self, since: int = 0) -> Iterator[ImuSample]:
+        """Yield the samples from a sample of the IF on.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class ImuRosbag:
         last = -1
         for time_ns, message in self._messages():
             sample = self.clock.sample_at(time_ns + shift)
-            if sample < 0:
+            if sample < since:
                 continue
             if sample <= last:
                 reason = f"IMU sample at {sample} comes after that at {last}"

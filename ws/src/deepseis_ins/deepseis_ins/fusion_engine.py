@@ -25,6 +25,7 @@ import numpy as np
 from deepseis_core.errors import InputError
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.imu_grades import ImuGrade
+from deepseis_core.miss_log import MissScript
 from deepseis_core.types import (
     Aiding,
     Displacement,
@@ -72,6 +73,8 @@ class FusionEngine(FusionInputs):
         [Hz]
     loose : LooseConfig, optional
         Settings of the filter.
+    script : MissScript, optional
+        What the run that is replayed did not wait for.
 
     Attributes
     ----------
@@ -95,13 +98,14 @@ class FusionEngine(FusionInputs):
         imu_rate_hz: float,
         *,
         loose: LooseConfig | None = None,
+        script: MissScript | None = None,
     ) -> None:
         if not grade.has_gyros:
             raise InputError("fusion", "needs gyroscopes, this grade of IMU has none")
         if 0.0 < config.smoothing_lag_s <= config.undo_s:
             reason = f"is {config.smoothing_lag_s:g} s, and {config.undo_s:g} s can be undone"
             raise InputError("smoothing_lag_s", reason, "more than undo_s, or 0")
-        super().__init__(config, grade, sample_rate_hz, imu_rate_hz)
+        super().__init__(config, grade, sample_rate_hz, imu_rate_hz, script)
         self.config, self.grade = config, grade
         self.loose, self.site = loose or LooseConfig(), Site.of(station)
         self.interpolator = KnotInterpolator(sample_rate_hz)
@@ -159,14 +163,13 @@ class FusionEngine(FusionInputs):
         if "samples" in lacking or (lacking and not force):
             return None
         begin, end = self.next_sample, self.next_sample + self.block
-        for what in lacking:
+        self.miss()
+        for what in self.missed:
             self._counts[f"late_{what}"] += 1
-        if "motion" in lacking:
-            self.miss_motion(begin)
         self._take(begin, end)
         self.history.fill(end)
         updates = self._work(begin - self.delay)
-        output = self._produce(begin, end, lacking, updates)
+        output = self._produce(begin, end, updates)
         self._counts["spans"] += 1
         self._counts["invalid"] += not output.aiding.valid
         self._forget()
@@ -186,18 +189,19 @@ class FusionEngine(FusionInputs):
 
     def _take(self, begin: int, end: int) -> None:
         """Let everything count that does so by now; undo what turns out to have been wrong."""
-        changed_row = self.history.take(end)
-        changed = self.timeline.take(begin)
+        changed_row = self.history.take(self.known("imu", end))
+        changed = self.take_motion(begin)
         if self.delayed is not None:
             if changed_row is not None and changed_row <= self.delayed.row:
                 self.delayed.rewind(self.history.sample_index(changed_row))
             if changed is not None:
                 self.delayed.rewind(changed)
-        for pvt in self.due_pvts(begin - self.delay):
+        horizon = self.known("pvt", begin - self.delay)
+        for pvt in self.due_pvts(horizon):
             self._take_pvt(pvt)
-        for position in self.due_precise(begin - self.delay):
+        for position in self.due_precise(horizon):
             self._take_precise(position)
-        for position in self.due_rtk(begin - self.delay):
+        for position in self.due_rtk(horizon):
             self._take_rtk(position)
 
     def _take_pvt(self, pvt: Pvt) -> None:
@@ -322,11 +326,9 @@ class FusionEngine(FusionInputs):
 
     # Outputs
 
-    def _produce(
-        self, begin: int, end: int, lacking: list[str], updates: list[GnssUpdate]
-    ) -> FusionOutput:
+    def _produce(self, begin: int, end: int, updates: list[GnssUpdate]) -> FusionOutput:
         grid = KnotGrid.of_span(begin, end - begin, self.sample_rate_hz)
-        late, delayed, predictor = " ".join(lacking), self.delayed, self.timebase.predictor
+        late, delayed, predictor = " ".join(self.missed), self.delayed, self.timebase.predictor
         motion, self._gnss_motion = tuple(self._gnss_motion), []
         if delayed is None or predictor is None:
             status = FusionStatus.ALIGNING if delayed is None else FusionStatus.NO_TIME
@@ -334,10 +336,11 @@ class FusionEngine(FusionInputs):
             nothing = no_aiding(SOURCE, grid)
             return FusionOutput(solution, nothing, status, late, motion=motion)
         present = Present.of(delayed, self.history.number_at(end), self.site.monument_ecef)
-        chosen = self.book.choose(begin, predictor.gps_time(begin), self.site.monument_ecef)
+        told = self.known("pvt", begin - self.delay) + self.delay
+        chosen = self.book.choose(begin, predictor.gps_time(begin), self.site.monument_ecef, told)
         first, last = (self.history.number_at(sample) + 1 for sample in (begin, end))
         made_up = self.history.count(first, last, RowFlag.MISSING)
-        extrapolated = made_up if "imu" in lacking else 0
+        extrapolated = made_up if "imu" in self.missed else 0
         self._counts["extrapolated"] += extrapolated
         status = self._status(present, chosen, made_up, extrapolated)
         solution = self.writer.write((begin, end), self.timebase, present, updates)

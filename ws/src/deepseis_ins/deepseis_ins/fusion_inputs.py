@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from deepseis_core.imu_grades import ImuGrade
+from deepseis_core.miss_log import Inputs, MissScript
 from deepseis_core.types import (
     Ephemeris,
     ImuSample,
@@ -41,16 +42,26 @@ class FusionInputs:
     grade : ImuGrade
     sample_rate_hz, imu_rate_hz : float
         [Hz]
+    script : MissScript, optional
+        Of the run that is replayed.
 
     Attributes
     ----------
     next_sample : int
         First sample of the next span.
+    missed : dict of str to int
+        What the last span went without, and how far it was there.
     """
 
     def __init__(
-        self, config: FusionConfig, grade: ImuGrade, sample_rate_hz: float, imu_rate_hz: float
+        self,
+        config: FusionConfig,
+        grade: ImuGrade,
+        sample_rate_hz: float,
+        imu_rate_hz: float,
+        script: MissScript | None = None,
     ) -> None:
+        self._inputs, self.missed = Inputs(script), dict[str, int]()
         self.sample_rate_hz = sample_rate_hz
         self.block = max(1, round(SPAN_S * sample_rate_hz))
         self.delay = round(config.feedback_delay_ms * 1e-3 * sample_rate_hz)
@@ -118,25 +129,41 @@ class FusionInputs:
         return next(iter(self.lacking()), "")
 
     def lacking(self) -> list[str]:
-        """Name all that the next span lacks."""
+        """Name all that the next span has to wait for."""
+        return self._inputs.lacking(self.next_sample, self.needed(), self._through)
+
+    def needed(self) -> dict[str, int]:
+        """Return how far each input has to be there for the next span."""
         begin = self.next_sample
         needed = {"samples": begin, "imu": begin + self.block, "motion": begin}
         if begin - self.delay >= self.first_sample:
             needed["pvt"] = begin - self.delay
-        return [what for what, sample in needed.items() if self._through[what] < sample]
+        return needed
 
-    def miss_motion(self, begin: int) -> None:
-        """Take back that the station is still, or moves, once nobody has said so for D.
+    def miss(self) -> None:
+        """Settle how far each input counts for the next span."""
+        self.missed = self._inputs.missed(self.next_sample, self.needed(), self._through)
 
-        Only where a span was not waited for (real time): the detector has died, or hangs.
+    def known(self, what: str, needed: int) -> int:
+        """Return through which sample an input counts for the next span."""
+        return min(needed, self.missed.get(what, needed))
+
+    def take_motion(self, begin: int) -> int | None:
+        """Let decisions count; return the first sample for which something else holds now.
+
+        That the station is still, or moves, is taken back once nobody has said so for D: the
+        detector has died, or hangs (real time).
         """
-        through = self._through["motion"]
+        changed = self.timeline.take(self.known("motion", begin))
+        through = self.missed.get("motion", begin)
         if begin - through <= self.delay or self.timeline.state(begin) == MotionKind.UNKNOWN:
-            return
+            return changed
         nothing = np.zeros(6, np.float32)
         since = max(through + 1, self.first_sample)
         kind = int(MotionKind.UNKNOWN)
         self.timeline.push(MotionState(since, begin, kind, "silence", nothing, nothing))
+        also = self.timeline.take(begin, "silence")
+        return min((item for item in (changed, also) if item is not None), default=None)
 
     def due_pvts(self, horizon: int) -> list[Pvt]:
         """Return positions up to a sample that have not been returned yet, in order."""

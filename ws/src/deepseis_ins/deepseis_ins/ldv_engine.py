@@ -51,13 +51,12 @@ class LdvFusionEngine(FusionEngine):
         """All measurements whose intervals end at ``through`` or before have been pushed."""
         self._valid("ldv", through)
 
-    def lacking(self) -> list[str]:
-        """Name all that the next span lacks.
+    def needed(self) -> dict[str, int]:
+        """Return how far each input has to be there for the next span.
 
         What counts are measurements up to D before it; their intervals have ended by its begin.
         """
-        found = super().lacking()
-        return found + ["ldv"] * (self._through["ldv"] < self.next_sample)
+        return {**super().needed(), "ldv": self.next_sample}
 
     def report(self) -> dict[str, object]:
         """Return what is known of the velocimeter's installation, for diagnostics."""
@@ -65,7 +64,8 @@ class LdvFusionEngine(FusionEngine):
 
     def _take(self, begin: int, end: int) -> None:
         super()._take(begin, end)
-        count = bisect_right(self._velocities, begin - self.delay, key=_sample_index)
+        horizon = self.known("ldv", begin) - self.delay
+        count = bisect_right(self._velocities, horizon, key=_sample_index)
         due = self._velocities[:count]
         del self._velocities[:count]
         if self.delayed is not None:
@@ -78,10 +78,8 @@ class LdvFusionEngine(FusionEngine):
             self.sample_rate_hz, self.oscillator, ldv=self.ldv_config,
         )  # fmt: skip
 
-    def _produce(
-        self, begin: int, end: int, lacking: list[str], updates: list[GnssUpdate]
-    ) -> FusionOutput:
-        output = super()._produce(begin, end, lacking, updates)
+    def _produce(self, begin: int, end: int, updates: list[GnssUpdate]) -> FusionOutput:
+        output = super()._produce(begin, end, updates)
         solution = replace(output.solution, filter=int(InsFilter.LDV))
         return replace(output, solution=solution)
 

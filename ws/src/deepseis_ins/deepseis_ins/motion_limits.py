@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from deepseis_core.types import FloatArray, IntArray
 from deepseis_ins.motion_noise import AxisNoise
@@ -117,11 +117,11 @@ def make_limits(
         strides,
         energy_lengths,
         energy_strides,
-        mean=chi2.isf(p, 1) * wider,
-        triad=chi2.isf(p, 3) * triad,
-        energy=chi2.isf(p, freedom) * noise.colour,
-        triad_energy=chi2.isf(p, 3.0 * triad_freedom) * colour,
-        clip=CLIP * np.sqrt(chi2.isf(probability[:2], 1)),
+        mean=chdtri(1, p) * wider,
+        triad=chdtri(3, p) * triad,
+        energy=chdtri(freedom, p) * noise.colour,
+        triad_energy=chdtri(3.0 * triad_freedom, p) * colour,
+        clip=CLIP * np.sqrt(chdtri(1, probability[:2])),
         probability=probability,
     )
 

@@ -36,16 +36,20 @@ class MotionTimeline:
         """Take a decision, in any order."""
         self._pending.append(state)
 
-    def take(self, through: int) -> int | None:
-        """Let all decisions through a sample count.
+    def take(self, through: int, policy: str = "") -> int | None:
+        """Let all decisions through a sample count, or only those of a policy.
 
         Returns
         -------
         int or None
             First sample for which something else holds than before.
         """
-        due = [item for item in self._pending if item.valid_through <= through]
-        self._pending = [item for item in self._pending if item.valid_through > through]
+        due: list[MotionState] = []
+        kept: list[MotionState] = []
+        for item in self._pending:
+            counts = item.valid_through <= through and policy in ("", item.policy)
+            (due if counts else kept).append(item)
+        self._pending = kept
         changes = [self._take(item) for item in sorted(due, key=_order)]
         return min((sample for sample in changes if sample is not None), default=None)
 

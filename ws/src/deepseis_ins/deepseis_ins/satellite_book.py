@@ -59,7 +59,13 @@ class SatelliteBook:
         """Take an ephemeris, in any order; it counts from its effective sample on."""
         self._waiting.append(ephemeris)
 
-    def choose(self, sample_index: int, start: GpsTime, antenna_ecef: FloatArray) -> Chosen:
+    def choose(
+        self,
+        sample_index: int,
+        start: GpsTime,
+        antenna_ecef: FloatArray,
+        told: int | None = None,
+    ) -> Chosen:
         """Return the choice that holds at a sample; samples must not go back.
 
         Parameters
@@ -69,8 +75,10 @@ class SatelliteBook:
             GPS time of the sample.
         antenna_ecef : ndarray, shape (3,)
             Roughly [m].
+        told : int, optional
+            Ephemerides that take effect later do not count yet: not all of them are there.
         """
-        new = self._take(sample_index)
+        new = self._take(sample_index if told is None else told)
         number = sample_index // self._renewal
         if new or number != self._chosen_for:
             self._chosen_for = number

@@ -78,12 +78,14 @@ class TightFusionEngine(FusionEngine):
 
     def _take(self, begin: int, end: int) -> None:
         super()._take(begin, end)
-        count = bisect_right(self._observations, begin - self.delay, key=_sample_index)
+        horizon = self.known("pvt", begin - self.delay)
+        count = bisect_right(self._observations, horizon, key=_sample_index)
         due, chosen, predictor = self._observations[:count], NOBODY, self.timebase.predictor
         del self._observations[:count]
         if due and predictor is not None:
             time = predictor.gps_time(begin)
-            chosen = self.book.choose(begin, time, self.site.monument_ecef)
+            told = horizon + self.delay
+            chosen = self.book.choose(begin, time, self.site.monument_ecef, told)
         for observations in due:
             epoch = self.builder.take(observations, chosen)
             if epoch is not None and self.delayed is not None:
@@ -99,10 +101,8 @@ class TightFusionEngine(FusionEngine):
             self.sample_rate_hz, ranges=self.range_config,
         )  # fmt: skip
 
-    def _produce(
-        self, begin: int, end: int, lacking: list[str], updates: list[GnssUpdate]
-    ) -> FusionOutput:
-        output = super()._produce(begin, end, lacking, updates)
+    def _produce(self, begin: int, end: int, updates: list[GnssUpdate]) -> FusionOutput:
+        output = super()._produce(begin, end, updates)
         if self.delayed is None or not len(output.solution.sample_index):
             return output
         return replace(output, solution=self._with_clock(output.solution, self.delayed, updates))

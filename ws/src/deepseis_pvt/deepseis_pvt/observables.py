@@ -126,6 +126,14 @@ class ObservablesBuilder:
         s = self.store
         return bool(reached(s.ints, s.head, s.tail, s.published, sample_index, self.margin))
 
+    def late(self, sample_index: int) -> dict[str, int]:
+        """Return the satellites that `reached` would wait for, and how far they have spoken."""
+        s = self.store
+        last = s.ints[np.arange(len(s.tail)), s.tail - 1]
+        has_row = (s.tail > s.head) & (last[:, ts.START] + last[:, ts.COUNT] > sample_index)
+        found = (s.published < sample_index + self.margin) & ~has_row
+        return {s.satellites[i]: int(s.published[i]) for i in np.flatnonzero(found)}
+
     def locate(self, sample_index: int, fraction: float = 0.0) -> None:
         """Evaluate transmit times at a sample into ``row``, ``transmit_ms`` and ``code_ms``.
 

@@ -16,6 +16,7 @@ import numpy as np
 from deepseis_core.config import setting
 from deepseis_core.constants import L1_WAVELENGTH, NS_PER_S, NS_PER_WEEK
 from deepseis_core.ephemeris import PACKED_COLUMNS, states_from_pseudoranges
+from deepseis_core.miss_log import EVER
 from deepseis_core.types import (
     FloatArray,
     IntArray,
@@ -35,7 +36,6 @@ from deepseis_pvt.phase_displacement import (
     PhaseEpoch,
     PhaseSolution,
 )
-from deepseis_pvt.pvt_engine import EVER
 from deepseis_pvt.spp import SppConfig
 from deepseis_pvt.still_reference import ReferenceConfig, StillReference
 
@@ -98,10 +98,10 @@ class PhasePositions:
         self._klobuchar: FloatArray | None = None
         self._start_ns: int | None = None
 
-    @property
-    def allowed_through(self) -> int:
-        """Last sample whose epoch may be solved: stillness is decided there."""
-        return self._motion_valid if self.witnessed else EVER
+    def late(self, sample_index: int) -> dict[str, int]:
+        """Tell what an epoch lacks (it is not decided whether it is still), and how far it is."""
+        waits = self.witnessed and self._motion_valid < sample_index
+        return {"motion": self._motion_valid} if waits else {}
 
     @property
     def rest(self) -> FloatArray | None:
@@ -121,14 +121,17 @@ class PhasePositions:
         """All decisions through this sample have been pushed."""
         self._motion_valid = max(self._motion_valid, through)
 
-    def solve(self, observations: Observations) -> PrecisePosition:
-        """Return the precise position of an epoch; epochs come in order."""
+    def solve(self, observations: Observations, known: int = EVER) -> PrecisePosition:
+        """Return the precise position of an epoch; epochs come in order.
+
+        Decisions on motion beyond the sample ``known`` do not count: not all of them are there.
+        """
         o = with_discriminator(observations) if self.config.add_discriminator else observations
         gps_ns = o.week * NS_PER_WEEK + o.tow_ns
         if self._start_ns is None:
             self._start_ns = gps_ns
         time = (gps_ns - self._start_ns) / NS_PER_S
-        still = self._still(o.sample_index, time)
+        still = self._still(min(o.sample_index, known), time)
         epoch, names = self._epoch(o, gps_ns, time)
         solution = self.filter.solve(epoch, still)
         return nothing(o, PHASE) if solution is None else position_of(o, names, solution)

@@ -13,11 +13,11 @@ from deepseis_core.config import check, setting
 from deepseis_core.constants import NS_PER_S, NS_PER_WEEK, SPEED_OF_LIGHT
 from deepseis_core.geodesy import geodetic_from_ecef, rotation_enu_ecef
 from deepseis_core.gps_time import GpsTime
+from deepseis_core.miss_log import EVER
 from deepseis_core.types import Ephemeris, FloatArray, Observations, PrecisePosition, PreciseStatus
 from deepseis_pvt.ephemeris_book import EphemerisBook
 from deepseis_pvt.phase_displacement import PhaseConfig
 from deepseis_pvt.precise import nothing
-from deepseis_pvt.pvt_engine import EVER
 from deepseis_pvt.rtk import RtkConfig, RtkSolution, RtkSolver
 from deepseis_pvt.rtklib_values import BASE, ROVER, Navigation, fill_observations
 
@@ -123,10 +123,9 @@ class RtkPositions:
             return f"base lost {self.base_age_s:.0f} s ago" if known else "no base yet"
         return ""
 
-    @property
-    def allowed_through(self) -> int:
-        """Last sample whose epoch may be solved: the base's observations for it are there."""
-        return self._base_valid + self.latency if self._base_valid < EVER else EVER
+    def late(self, sample_index: int) -> dict[str, int]:
+        """Tell what an epoch lacks (observations of the base), and how far it is there."""
+        return {"base": self._base_valid} if self._base_valid < sample_index - self.latency else {}
 
     def push_base(self, observations: Observations) -> None:
         """Take an epoch of the base, in order."""
@@ -147,6 +146,7 @@ class RtkPositions:
         slipped: Iterable[str] = (),
         rest: FloatArray | None = None,
         stress: FloatArray | None = None,
+        known: int = EVER,
     ) -> PrecisePosition:
         """Return the position of an epoch; epochs come in order.
 
@@ -159,9 +159,12 @@ class RtkPositions:
             Where the antenna is known to be at rest, east, north, up of its surveyed place [m].
         stress : ndarray, shape (3, 3), optional
             Covariance of what the loops make displacements lag behind [m^2].
+        known : int, optional
+            What the base observed beyond this sample does not count: not all of it is there.
         """
         o = observations
-        while self._waiting and self._waiting[0].sample_index <= o.sample_index - self.latency:
+        last = min(o.sample_index - self.latency, known)
+        while self._waiting and self._waiting[0].sample_index <= last:
             self._base = self._waiting.popleft()
         if self._base is not None:
             later = GpsTime(o.week, o.tow_ns)

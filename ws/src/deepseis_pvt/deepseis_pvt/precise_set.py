@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
+from deepseis_core.miss_log import EVER
 from deepseis_core.types import (
     FloatArray,
     MotionState,
@@ -16,7 +17,6 @@ from deepseis_pvt.ephemeris_book import EphemerisBook
 from deepseis_pvt.phase_displacement import PhaseConfig
 from deepseis_pvt.precise import PhasePositions, PreciseConfig, phase_positions
 from deepseis_pvt.precise_rtk import BaseConfig, RtkPositions, rtk_positions
-from deepseis_pvt.pvt_engine import EVER
 from deepseis_pvt.rtk import RtkConfig
 from deepseis_pvt.spp import SppConfig
 from deepseis_pvt.still_reference import ReferenceConfig
@@ -43,13 +43,12 @@ class PrecisePositions:
     ) -> None:
         self.phase, self.rtk, self.wait_base = phase, rtk, wait_base
 
-    @property
-    def allowed_through(self) -> int:
-        """Last sample whose epoch may be solved."""
-        through = EVER if self.phase is None else self.phase.allowed_through
+    def late(self, sample_index: int) -> dict[str, int]:
+        """Tell what the epoch at a sample lacks, motion or base, and how far each is there."""
+        found = {} if self.phase is None else self.phase.late(sample_index)
         if self.rtk is not None and self.wait_base:
-            through = min(through, self.rtk.allowed_through)
-        return through
+            found |= self.rtk.late(sample_index)
+        return found
 
     @property
     def statistics(self) -> dict[str, int]:
@@ -87,17 +86,24 @@ class PrecisePositions:
         if self.rtk is not None:
             self.rtk.base_valid(through)
 
-    def solve(self, observations: Observations) -> list[tuple[str, PrecisePosition]]:
-        """Return topic and value of every method; epochs come in order."""
+    def solve(
+        self, observations: Observations, missed: Mapping[str, int] | None = None
+    ) -> list[tuple[str, PrecisePosition]]:
+        """Return topic and value of every method; epochs come in order.
+
+        Of what was ``missed``, only what came through the sample given counts.
+        """
         if self.phase is None:
             return []
-        found = self.phase.solve(observations)
+        known = missed or {}
+        found = self.phase.solve(observations, known.get("motion", EVER))
         values = [(PHASE_TOPIC, found)]
         if self.rtk is not None:
             slipped = found.rejected if found.status != PreciseStatus.NONE else ()
             value = self.rtk.solve(
-                observations, slipped, self.phase.rest, self.phase.filter.stress
-            )
+                observations, slipped, self.phase.rest, self.phase.filter.stress,
+                known.get("base", EVER),
+            )  # fmt: skip
             values.append((RTK_TOPIC, value))
         return values
 

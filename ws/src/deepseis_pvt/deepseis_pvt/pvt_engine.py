@@ -8,9 +8,8 @@ watermarks of all satellites allow. Nothing depends on the order in which messag
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from deepseis_core.config import setting
 from deepseis_core.constants import NS_PER_S, SPEED_OF_LIGHT
 from deepseis_core.ephemeris import states_from_pseudoranges
 from deepseis_core.gps_time import GpsTime
+from deepseis_core.miss_log import EVER, MissScript
 from deepseis_core.types import (
     Ephemeris,
     FloatArray,
@@ -30,6 +30,7 @@ from deepseis_core.types import (
 from deepseis_pvt.assisted_start import Assistance, predict_transmit_ms
 from deepseis_pvt.ephemeris_book import EphemerisBook
 from deepseis_pvt.first_fix import FirstFix
+from deepseis_pvt.held_back import HeldBack
 from deepseis_pvt.observables import (
     NS_PER_MS,
     GridClock,
@@ -44,9 +45,6 @@ COUNTED = (
     *("attempts", "epochs", "empty_epochs", "forced", "predicted_transmit_times"),
     *("positions", "no_position", "rejected", "inconsistent", "clock_jumps"),
 )
-
-EVER: Final = int(np.iinfo(np.int64).max)
-"""A sample that never comes."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +80,8 @@ class PvtEngine:
         Settings of the parts.
     assistance : Assistance, optional
         Known position and coarse time, for a start before a subframe is decoded.
+    script : MissScript, optional
+        What the run that is replayed did not wait for.
 
     Attributes
     ----------
@@ -89,10 +89,11 @@ class PvtEngine:
         Receiver time of samples; None before the first fix.
     worked_through : int
         Last sample that epochs, or attempts at the first fix, have been worked through to.
-    was_forced : bool
-        Whether the last epoch was worked through without waiting for all.
-    allowed_through : int
-        Last sample that may be worked through, as far as others than the trackers have a say.
+    missed : dict of str to int
+        What the last epoch was not kept waiting for (satellites, or what ``witnesses`` names), and
+        through which sample it was there.
+    witnesses : callable
+        Tells what others than the trackers lack for an epoch at a sample, and how far it is there.
     """
 
     def __init__(
@@ -104,6 +105,7 @@ class PvtEngine:
         observables: ObservablesConfig | None = None,
         spp: SppConfig | None = None,
         assistance: Assistance | None = None,
+        script: MissScript | None = None,
     ) -> None:
         self.config, self.sample_rate_hz = config, sample_rate_hz
         self.store = TrackStore(satellites)
@@ -118,8 +120,11 @@ class PvtEngine:
             self.builder, self.book, self.solver, config.max_first_gdop, assistance
         )
         self.clock: GridClock | None = None
-        self.worked_through, self.allowed_through = -1, EVER
-        self.was_forced = False
+        self.worked_through = -1
+        self.missed: dict[str, int] = {}
+        self.witnesses: Callable[[int], dict[str, int]] = lambda _sample: {}
+        self.script = script or MissScript()
+        self._held = HeldBack(self.script, self.store)
         self._attempt = 0
         self._next_ns = 0
         self._state: FloatArray | None = None
@@ -139,7 +144,7 @@ class PvtEngine:
 
     def newest_sample(self) -> int:
         """Return the last sample of any satellite's integrations; promises do not count."""
-        return int(self.store.end.max(initial=0)) - 1
+        return max(int(self.store.end.max(initial=0)), self._held.end) - 1
 
     @staticmethod
     def utc_ns(observations: Observations) -> int:
@@ -152,10 +157,19 @@ class PvtEngine:
 
     def push_epochs(self, epochs: TrackingEpochs) -> None:
         """Take the integrations of one satellite and IF block."""
-        self.store.push(epochs, self.worked_through)
+        if self.script:
+            self._held.push_epochs(epochs)
+        else:
+            self.store.push(epochs, self.worked_through)
 
     def push_ephemeris(self, ephemeris: Ephemeris) -> None:
         """Take an ephemeris a channel has decoded, or a preloaded one (effective from -1)."""
+        if self.script and ephemeris.effective_sample_index >= 0:
+            self._held.push_ephemeris(ephemeris)
+        else:
+            self._take_ephemeris(ephemeris)
+
+    def _take_ephemeris(self, ephemeris: Ephemeris) -> None:
         if self.book.add(ephemeris) and ephemeris.effective_sample_index >= 0:
             self.store.received_ephemeris(ephemeris.satellite)
 
@@ -194,17 +208,25 @@ class PvtEngine:
                 break
             yield epoch
 
+    def late(self, sample_index: int) -> dict[str, int]:
+        """Return what an epoch at a sample lacks, and through which sample that is there."""
+        found = {} if self.builder.reached(sample_index) else self.builder.late(sample_index)
+        return found | self.witnesses(sample_index)
+
     def _may_work(self, sample_index: int, force_through: int | None) -> bool:
-        known = sample_index <= min(self.store.ephemerides_through(), self.allowed_through)
-        self.was_forced = False
-        if known and self.builder.reached(sample_index):
-            return True
-        if force_through is not None and sample_index <= force_through:
-            self.was_forced = True
-            self._counts["forced"] += 1
-            self.store.give_up_ephemerides(sample_index)
-            return True
-        return False
+        if self.script:
+            self._held.hand_on(sample_index, self.worked_through, self._take_ephemeris)
+        late = self.late(sample_index)
+        scripted = self.script.at(sample_index)
+        known = sample_index <= self.store.ephemerides_through()
+        waits = [what for what, there in late.items() if there < scripted.get(what, EVER)]
+        forced = force_through is not None and sample_index <= force_through
+        if (waits or not known) and not forced:
+            return False
+        self.missed = late | scripted
+        self._counts["forced"] += bool(self.missed) or not known
+        self.store.give_up_ephemerides(sample_index)
+        return True
 
     def _try_first_fix(self, force_through: int | None) -> bool:
         """Make the next attempt if the inputs allow; tell whether to go on with more."""

@@ -68,6 +68,7 @@ class TrackStore:
         self.counts = {"late": 0, "disordered": 0, "unknown_satellite": 0}
         self._promised: list[deque[tuple[int, int]]] = [deque() for _ in range(n)]
         self._ephemerides: IntArray = np.zeros(n, np.int64)
+        self._announced: IntArray = np.zeros(n, np.int64)
 
     def push(self, epochs: TrackingEpochs, worked_through: int = -1) -> None:
         """Take one message; rows wholly at or before ``worked_through`` only count as late."""
@@ -79,6 +80,7 @@ class TrackStore:
             self.counts["disordered"] += 1
             return
         self.published[i] = epochs.valid_through
+        self._announced[i] = epochs.ephemeris_count
         if epochs.ephemeris_count > self._ephemerides[i]:
             self._promised[i].append((epochs.valid_through, epochs.ephemeris_count))
         n = len(epochs.sample_index)
@@ -106,6 +108,11 @@ class TrackStore:
         for promised in self._promised:
             while promised and promised[0][0] < sample_index:
                 promised.popleft()
+
+    def announced(self, satellite: str) -> int:
+        """Return how many ephemerides of a satellite its messages have announced so far."""
+        i = self.number.get(satellite)
+        return -1 if i is None else int(self._announced[i])
 
     def laggard(self) -> str:
         """Return the satellite whose messages reach least far."""

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from deepseis_core.baseband import Baseband
 from deepseis_core.config import setting
+from deepseis_core.counted import CountedInput
 from deepseis_core.errors import InputError
+from deepseis_core.miss_log import EVER, Inputs, MissScript
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import AcquisitionResult, IfBlock
 from deepseis_tracking.acquisition import Acquirer, AcquisitionConfig, Detection
@@ -32,6 +34,11 @@ class AcquisitionEngine:
     The search for the hand-over at slot ``k`` uses samples from the start of slot
     ``k - latency_slots`` on and requests made before that.
 
+    Attributes
+    ----------
+    missed : dict of str to int
+        Trackers that the last block did not wait for, and how far their requests are there.
+
     Raises
     ------
     InputError
@@ -45,7 +52,9 @@ class AcquisitionEngine:
         slots: SlotConfig,
         retry: RetryConfig,
         forecast: Forecast | None = None,
+        script: MissScript | None = None,
     ) -> None:
+        self._inputs, self.missed = Inputs(script), dict[str, int]()
         stretch_ms = config.coherent_ms * config.noncoherent_count
         if stretch_ms > slots.slot_ms:
             raise InputError(
@@ -60,9 +69,9 @@ class AcquisitionEngine:
         self.due_from: dict[str, int] = dict.fromkeys(satellites, 0)
         self.lost_at: dict[str, int] = {}
         self.blocks: deque[IfBlock] = deque()
-        self.trackers: dict[str, tuple[int, int]] = {}
-        self.requests: list[tuple[str, int]] = []
-        self.request_count: dict[str, int] = {}
+        self.trackers: dict[str, CountedInput] = {}
+        self.requests: list[tuple[str, int, str]] = []
+        self._asked: dict[str, int] = {}
         self.valid_through = -1
         self.consumed_through = -1
         self.result_count = 0
@@ -74,9 +83,9 @@ class AcquisitionEngine:
         self._collected: list[tuple[NDArray[np.int8], NDArray[np.int8]]] = []
         self._start = 0
 
-    def expect_trackers(self, names: list[str]) -> None:
+    def expect_trackers(self, names: list[str], *, counting: bool = True) -> None:
         """Name the processes whose requests are to be waited for."""
-        self.trackers = dict.fromkeys(names, (-1, 0))
+        self.trackers = {name: CountedInput(counting=counting) for name in names}
 
     def push_block(self, block: IfBlock) -> None:
         """Take the next IF block."""
@@ -84,18 +93,17 @@ class AcquisitionEngine:
 
     def push_request(self, satellite: str, sample_index: int, tracker: str) -> None:
         """Take the request of a channel that became idle at a sample."""
-        self.requests.append((satellite, sample_index))
-        self.request_count[tracker] = self.request_count.get(tracker, 0) + 1
+        self.requests.append((satellite, sample_index, tracker))
+        self._asked[tracker] = max(self._asked.get(tracker, 0), sample_index - 1)
+        if tracker in self.trackers:
+            self.trackers[tracker].received()
 
     def tracker_valid(self, tracker: str, through: int, request_count: int) -> None:
         """Note that a tracker process has made all its requests up to ``through``."""
-        self.trackers[tracker] = (through, request_count)
+        self.trackers.setdefault(tracker, CountedInput()).announced(request_count, through)
 
-    def _trackers_ready(self, slot_start: int) -> bool:
-        return all(
-            through >= slot_start - 1 and self.request_count.get(name, 0) >= count
-            for name, (through, count) in self.trackers.items()
-        )
+    def _there(self) -> dict[str, int]:
+        return {name: tracker.valid_through for name, tracker in self.trackers.items()}
 
     def advance(self, *, force: bool = False) -> list[AcquisitionResult] | None:
         """Work through one block.
@@ -116,10 +124,14 @@ class AcquisitionEngine:
         block = self.blocks[0]
         slot_samples = round(self.slots.slot_ms * 1e-3 * block.sample_rate_hz)
         slot = block.sample_index // slot_samples
-        first = self.slot < 0
-        ready = first or force or self._trackers_ready(slot * slot_samples)
-        if slot != self.slot and not ready:
+        needed = {}
+        if slot != self.slot >= 0:
+            needed = dict.fromkeys(self.trackers, slot * slot_samples - 1)
+        if not force and self._inputs.lacking(block.sample_index, needed, self._there()):
             return None
+        # A request that is there counts, though the watermark that speaks for it may be lost.
+        spoken = {n: max(at, self._asked.get(n, -1)) for n, at in self._there().items()}
+        self.missed = self._inputs.missed(block.sample_index, needed, spoken)
         self.blocks.popleft()
         results: list[AcquisitionResult] = []
         if slot != self.slot:
@@ -143,12 +155,14 @@ class AcquisitionEngine:
             self._baseband = Baseband.for_block(block)
             self._acquirer = Acquirer(rate, self.config)
         start = self.slot * slot_samples
-        for satellite, sample in [r for r in self.requests if r[1] <= start]:
+        known = {name: self.missed.get(name, EVER - 1) + 1 for name in self.trackers}
+        due = [r for r in self.requests if r[1] <= min(start, known.get(r[2], EVER))]
+        self.requests = [r for r in self.requests if r not in due]
+        for satellite, sample, _ in due:
             # A tracker started again asks for all; who was not tracked has a turn already.
             if satellite in self.satellites and satellite not in self.due_from:
                 self.due_from[satellite] = sample
                 self.lost_at[satellite] = sample
-        self.requests = [r for r in self.requests if r[1] > start]
         self._targets = [s for s in self.satellites if self.due_from.get(s, start + 1) <= start]
         if self._targets and self.forecast is not None and self.clock is not None:
             self._windows = self.forecast.windows(self.clock.utc_ns(start))

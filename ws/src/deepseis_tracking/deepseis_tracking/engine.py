@@ -14,7 +14,9 @@ import numpy as np
 
 from deepseis_core.baseband import Baseband
 from deepseis_core.config import setting
+from deepseis_core.counted import CountedInput
 from deepseis_core.errors import InputError
+from deepseis_core.miss_log import EVER, Inputs, MissScript
 from deepseis_core.types import (
     AcquisitionResult,
     Aiding,
@@ -69,6 +71,8 @@ class BlockOutput:
     epochs: list[TrackingEpochs] = field(default_factory=list)
     ephemerides: list[Ephemeris] = field(default_factory=list)
     requests: list[tuple[str, int]] = field(default_factory=list)
+    missed: dict[str, int] = field(default_factory=dict)
+    """What was not waited for, and through which sample it was there."""
 
 
 class TrackingEngine:
@@ -85,6 +89,8 @@ class TrackingEngine:
     wait_acquisition, wait_aiding : bool
         Whether the graph has these members: then no block is worked through before they have
         spoken for it.
+    script : MissScript, optional
+        What the run that is replayed did not wait for.
     """
 
     def __init__(
@@ -95,14 +101,15 @@ class TrackingEngine:
         *,
         wait_acquisition: bool = True,
         wait_aiding: bool = False,
+        script: MissScript | None = None,
     ) -> None:
+        self._inputs = Inputs(script)
         self.satellites, self.config, self.slots = satellites, config, slots
         self.wait_acquisition, self.wait_aiding = wait_acquisition, wait_aiding
         self.channels: dict[str, Channel] = {}
         self.blocks: deque[IfBlock] = deque()
         self.results: list[AcquisitionResult] = []
-        self.result_count = 0
-        self.acquisition_through, self.acquisition_count = -1, 0
+        self.acquisition = CountedInput()
         self.aiding: deque[Aiding] = deque()
         self.aiding_through = -1
         self.request_count = 0
@@ -127,7 +134,8 @@ class TrackingEngine:
         All satellites are asked for anew; of what was found before, which a late reader gets too,
         only the newest is of use. Counts of results are not waited for.
         """
-        self.joined_at, self.acquisition_count = sample, 0
+        self.joined_at = sample
+        self.acquisition.trust()
         self._stale_through = sample - round(STALE_S * sample_rate_hz)
 
     def push_block(self, block: IfBlock) -> None:
@@ -136,7 +144,7 @@ class TrackingEngine:
 
     def push_result(self, result: AcquisitionResult) -> None:
         """Take an acquisition result."""
-        self.result_count += 1
+        self.acquisition.received()
         if result.detected and result.satellite in self.satellites:
             self.results.append(result)
 
@@ -148,9 +156,7 @@ class TrackingEngine:
 
     def acquisition_valid(self, through: int, result_count: int) -> None:
         """Note that all ``result_count`` results up to ``through`` have been published."""
-        self.acquisition_through = max(self.acquisition_through, through)
-        if self.joined_at < 0:
-            self.acquisition_count = max(self.acquisition_count, result_count)
+        self.acquisition.announced(result_count, through)
 
     def _slot_of(self, block: IfBlock) -> int:
         return block.sample_index // self._slot_samples(block)
@@ -158,19 +164,31 @@ class TrackingEngine:
     def _slot_samples(self, block: IfBlock) -> int:
         return round(self.slots.slot_ms * 1e-3 * block.sample_rate_hz)
 
+    def next_through(self) -> int:
+        """Return the last sample of the next block; never, if there is none."""
+        if not self.blocks:
+            return EVER
+        return self.blocks[0].sample_index + self.blocks[0].sample_count - 1
+
     def waiting_for(self) -> str:
         """Name what the next block waits for: acquisition, aiding, samples or nothing."""
         if not self.blocks:
             return "samples"
         block = self.blocks[0]
-        new_slot = self._slot_of(block) != self.slot
-        if self.wait_acquisition and new_slot and self.slot >= 0:
-            start = self._slot_of(block) * self._slot_samples(block)
-            if self.acquisition_through < start or self.result_count < self.acquisition_count:
-                return "acquisition"
-        if self.wait_aiding and self.aiding_through < block.sample_index + block.sample_count - 1:
-            return "aiding"
-        return ""
+        lacking = self._inputs.lacking(block.sample_index, self._needed(block), self._there())
+        return next(iter(lacking), "")
+
+    def _needed(self, block: IfBlock) -> dict[str, int]:
+        """Return how far each input has to be there for a block."""
+        needed = {}
+        if self.wait_acquisition and self._slot_of(block) != self.slot >= 0:
+            needed["acquisition"] = self._slot_of(block) * self._slot_samples(block)
+        if self.wait_aiding:
+            needed["aiding"] = block.sample_index + block.sample_count - 1
+        return needed
+
+    def _there(self) -> dict[str, int]:
+        return {"acquisition": self.acquisition.valid_through, "aiding": self.aiding_through}
 
     @property
     def is_tracking(self) -> bool:
@@ -194,7 +212,8 @@ class TrackingEngine:
         if missing == "samples" or (missing and not force):
             return None
         block = self.blocks.popleft()
-        output = BlockOutput(block)
+        missed = self._inputs.missed(block.sample_index, self._needed(block), self._there())
+        output = BlockOutput(block, missed=missed)
         slot = self._slot_of(block)
         new_slot, self.slot = slot != self.slot, slot
         self._prepare(block)
@@ -203,9 +222,10 @@ class TrackingEngine:
             self.request_count += len(self.channels)
         if new_slot:
             # Not before the samples at hand: the stream may begin, or go on, within a slot.
-            self._hand_over(max(slot * self._slot_samples(block), block.sample_index))
+            start = slot * self._slot_samples(block)
+            self._hand_over(max(start, block.sample_index), missed.get("acquisition", EVER))
         end = block.sample_index + block.sample_count
-        self._take_aiding(end - 1)
+        self._take_aiding(end - 1, missed.get("aiding"))
         slot_end = (slot + 1) * self._slot_samples(block) - 1
         for satellite, channel in self.channels.items():
             active = channel.mode != TrackingMode.IDLE
@@ -238,23 +258,29 @@ class TrackingEngine:
             for channel in self.channels.values():
                 channel.drop(TrackingFlag.GAP)
 
-    def _hand_over(self, start: int) -> None:
-        """Give results that are due to idle channels."""
-        due = [r for r in self.results if r.effective_sample_index <= start]
+    def _hand_over(self, start: int, known: int) -> None:
+        """Give results that are due, and known by then, to idle channels."""
+        last = min(start, known)
+        due = [r for r in self.results if r.effective_sample_index <= last]
         due = [r for r in due if r.effective_sample_index > self._stale_through]
-        self.results = [r for r in self.results if r.effective_sample_index > start]
+        self.results = [r for r in self.results if r.effective_sample_index > last]
         for result in sorted(due, key=lambda r: (r.effective_sample_index, r.satellite)):
             channel = self.channels[result.satellite]
             if channel.mode == TrackingMode.IDLE:
                 self.counters["late_results"] += result.effective_sample_index < start
                 channel.hand_over(result, max(result.effective_sample_index, start))
 
-    def _take_aiding(self, last_sample: int) -> None:
-        while self.aiding and self.aiding[0].valid_from <= last_sample:
+    def _take_aiding(self, last_sample: int, missed: int | None) -> None:
+        known = EVER if missed is None else missed
+        while (
+            self.aiding
+            and self.aiding[0].valid_from <= last_sample
+            and self.aiding[0].valid_through <= known
+        ):
             aiding = self.aiding.popleft()
             for channel in self.channels.values():
                 channel.aid(aiding)
-        if self.wait_aiding and self.aiding_through < last_sample:
+        if missed is not None:
             self.counters["aid_missed"] += 1
             for channel in self.channels.values():
                 channel.aid_missing(last_sample)

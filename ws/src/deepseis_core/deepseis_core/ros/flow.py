@@ -20,6 +20,7 @@ from rclpy.node import Node
 
 from deepseis_core.config import setting
 from deepseis_core.interface import SHARED_TOPICS
+from deepseis_core.miss_log import MissScript
 from deepseis_core.ros import qos
 from deepseis_core.ros.convert import stamp_from_ns
 from deepseis_core.ros.main import Process
@@ -46,6 +47,9 @@ class FlowConfig:
     expected_subscribers: list[str] = setting([], "what to wait for: topic=count [-]")
     flow_stride_ms: int = setting(0, "announce that often while nobody waits [ms]", low=0)
     rejoin: bool = setting(False, "realtime: the graph runs already, join it at the present [-]")
+    misses: list[str] = setting(
+        [], "lockstep: what the run that is replayed did not wait for: input, runs of samples [-]"
+    )
 
 
 class Flow:
@@ -53,6 +57,7 @@ class Flow:
 
     def __init__(self, node: Node, process: Process, name: str, config: FlowConfig) -> None:
         self.node, self.process, self.name, self.config = node, process, name, config
+        self.script = MissScript(config.misses if config.mode == "lockstep" else ())
         self.publisher = node.create_publisher(Watermark, f"flow/{name}", qos.STREAM_LATCHED)
         self.publishers: dict[str, Any] = {}
         self.others: dict[str, Watermark] = {}

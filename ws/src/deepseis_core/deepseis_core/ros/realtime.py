@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.duration import Duration
 from rclpy.node import Node
 
 from deepseis_core.latency import LatencyMeter
@@ -59,6 +60,11 @@ class RealtimeReport:
             name = f"{self.name} misses"
             data = diagnostics.encoded(name, diagnostics.WARN, text, missed, utc_ns)
             self.publisher.publish(data)
+
+    def finish(self, utc_ns: int) -> None:
+        """Publish what is left, before the node says that it has ended."""
+        self.publish(utc_ns)
+        self.publisher.wait_for_all_acked(Duration(seconds=1))
 
     def _publish_latencies(self, found: Mapping[str, Mapping[str, str]], utc_ns: int) -> None:
         values = {f"{key}_{name}": v for key, part in found.items() for name, v in part.items()}

@@ -65,7 +65,7 @@ class ImuSourceNode(Node):
         self.timing = self.source.timing() if isinstance(self.source, ImuFile) else {}
         self.samples: Iterator[ImuSample] = self.source.samples()
         self.next: ImuSample | None = next(self.samples)
-        self.publisher = self.flow.publish_on("imu/data_raw", Imu, qos.STREAM)
+        self.publisher = self.flow.publish_on("imu/data_raw", Imu, qos.IMU)
         self.station = self.flow.publish_on("station", Station, qos.LATCHED)
         self.diagnostics = self.flow.publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
         self.sent, self.second = 0, -1
@@ -121,8 +121,8 @@ class ImuSourceNode(Node):
     def is_present(self, through: int) -> bool:
         """Where the graph ran already, leave aside what is past; tell whether the present is."""
         if self.flow.rejoins and self.flow.entry < 0 and self.flow.admits(through + 1):
-            while self.next is not None and self.next.sample_index <= through + 1:
-                self.next = next(self.samples, None)
+            self.samples = self.source.samples(through + 2)
+            self.next = next(self.samples, None)
         return self.flow.admits(through + 1)
 
     def report(self, sample_index: int) -> None:

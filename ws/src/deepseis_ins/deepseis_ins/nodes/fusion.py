@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +12,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
 from deepseis_core.config import setting
+from deepseis_core.counted import CountedInput
+from deepseis_core.deadline import Deadline
 from deepseis_core.imu_grades import grade_named
 from deepseis_core.imu_message import decode_imu
 from deepseis_core.latency import Arrivals
@@ -20,7 +21,6 @@ from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_core.ros import codecs, diagnostics, qos
 from deepseis_core.ros.cdr import encode_message
 from deepseis_core.ros.codecs import subscribe
-from deepseis_core.ros.counted import CountedInput
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.odometry import odometry_from_solution
@@ -45,6 +45,7 @@ from deepseis_ins.ldv_engine import LdvFusionEngine
 from deepseis_ins.ldv_fusion import LdvFusionConfig
 from deepseis_ins.loose import LooseConfig
 from deepseis_ins.range_config import RangeConfig
+from deepseis_ins.rehearsal import rehearse_fusion
 from deepseis_ins.tight import TightConfig
 from deepseis_ins.tight_engine import TightFusionEngine
 from deepseis_msgs.msg import Displacement, DopplerAiding, InsSolution, Watermark
@@ -92,17 +93,21 @@ class FusionNode(Node):
         ldv = declare(self, LdvFusionConfig)
         reject_unknown(self)
         config = self.config
+        rates, grade = (config.sample_rate_hz, config.imu_rate_hz), grade_named(config.imu_grade)
         self.engine = make_engine(
             fusion,
-            grade_named(config.imu_grade),
-            config.sample_rate_hz,
+            grade,
+            rates[0],
             self.station(),
-            config.imu_rate_hz,
+            rates[1],
             loose=loose,
             tight=tight,
             ranges=ranges,
             ldv=ldv,
+            script=self.flow.script,
         )
+        if not self.flow.lockstep:
+            rehearse_fusion(fusion, loose, grade, *rates)
         self.load_navigation()
         self.clock = SampleClock(config.start_utc_ns, config.sample_rate_hz)
         publish_on = self.flow.publish_on
@@ -117,10 +122,9 @@ class FusionNode(Node):
         self.orbits, self.precise, self.rtk = (CountedInput(counting=counting) for _ in range(3))
         self.epochs: CountedInput | None = None
         self.motions = 0
-        self.second, self.looked = -1, 0.0
-        self.due: deque[tuple[int, float]] = deque()
-        self.overdue_through = -1
-        self.create_subscription(Imu, "imu/data_raw", self.on_imu, qos.STREAM, raw=True)
+        self.second = -1
+        self.deadline = Deadline(1e-3 * config.fusion_deadline_ms)
+        self.create_subscription(Imu, "imu/data_raw", self.on_imu, qos.IMU, raw=True)
         subscribe(self, codecs.MOTION_STATE, "motion/state", self.on_motion, qos.LATCHED)
         subscribe(self, codecs.PVT, "gnss/pvt", self.on_pvt, qos.STREAM)
         subscribe(self, codecs.PRECISE_POSITION, "gnss/precise", self.on_precise, qos.STREAM)
@@ -224,7 +228,7 @@ class FusionNode(Node):
             self.engine.join(self.flow.entry)
         count = 0 if msg.node == "if_source" else msg.event_count
         if msg.node == "if_source" and self.realtime is not None:
-            self.due.append((msg.valid_through, time.monotonic()))
+            self.deadline.arrived(msg.valid_through)
         self.inputs[msg.node].announced(count, msg.valid_through)
         if msg.node == "pvt":
             self.orbits.announced(msg.ephemeris_count, msg.valid_through)
@@ -235,21 +239,13 @@ class FusionNode(Node):
         self.work()
 
     def on_deadline(self) -> None:
-        """Realtime: do not wait longer for what is late, counted from the samples' arrival.
-
-        Not from the last step: lateness would add up, and the loop of aiding would stay late.
-        """
-        now = time.monotonic()
-        if now - self.looked > 0.1:  # this process itself stood still: its inputs are queued
-            self.due = deque((through, now) for through, _ in self.due)
-        self.looked = now
-        while self.due and self.due[0][1] < now - 1e-3 * self.config.fusion_deadline_ms:
-            self.overdue_through, _ = self.due.popleft()
+        """Realtime: do not wait longer for what is late."""
+        self.deadline.look()
         self.work()
 
     def is_overdue(self) -> bool:
         """Whether the next span is not to be waited for."""
-        return self.engine.next_sample + self.engine.block - 1 <= self.overdue_through
+        return self.engine.next_sample + self.engine.block - 1 <= self.deadline.overdue_through
 
     def work(self) -> None:
         """Publish all spans that are due."""
@@ -274,6 +270,8 @@ class FusionNode(Node):
         if source is None or not source.end_of_stream or self.flow.ended:
             return
         if self.engine.valid_through >= source.valid_through or self.flow.came_too_late:
+            if self.realtime is not None:
+                self.realtime.finish(self.clock.utc_ns(self.engine.valid_through))
             self.flow.finish()
 
     def publish(self, output: FusionOutput) -> None:
@@ -281,7 +279,7 @@ class FusionNode(Node):
         through = self.engine.valid_through
         first = self.clock.utc_ns(output.aiding.knot_sample_index)
         self.aiding.publish(codecs.DOPPLER_AIDING.encode(output.aiding, first))
-        self.note(output, through + 1)
+        self.note(through + 1)
         solution = output.solution
         if len(solution.sample_index):
             utc_ns = self.clock.utc_ns(int(solution.sample_index[0]))
@@ -296,12 +294,13 @@ class FusionNode(Node):
         utc_ns = self.clock.utc_ns(through)
         self.flow.send(through, through, event_count=self.motions, utc_ns=utc_ns)
 
-    def note(self, output: FusionOutput, end: int) -> None:
+    def note(self, end: int) -> None:
         """Real time: note what a span lacked, and how long ago its last IMU sample came."""
         if self.realtime is None:
             return
-        for what in output.late.split():
-            self.realtime.misses.note(what, end - self.engine.block, self.engine.block)
+        block = self.engine.block
+        for what, through in self.engine.missed.items():
+            self.realtime.misses.note(what, end - block, block, through)
         came = self.arrivals.of(end)
         if came is not None:
             self.realtime.meters["imu_to_aiding"].add(time.monotonic() - came)

@@ -9,10 +9,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
 from deepseis_core.config import setting
+from deepseis_core.counted import CountedInput
 from deepseis_core.imu_grades import grade_named
 from deepseis_core.imu_message import decode_imu
 from deepseis_core.ros import codecs, diagnostics, qos
-from deepseis_core.ros.counted import CountedInput
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
@@ -20,6 +20,7 @@ from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import MotionKind
 from deepseis_ins.motion_engine import MotionEngine, MotionEngineConfig
 from deepseis_ins.motion_state import MotionConfig
+from deepseis_ins.rehearsal import rehearse_motion
 from deepseis_msgs.msg import MotionState, Watermark
 
 
@@ -42,20 +43,17 @@ class MotionStateNode(Node):
         self.config, detector = declare(self, NodeConfig), declare(self, MotionConfig)
         engine = declare(self, MotionEngineConfig)
         reject_unknown(self)
-        config = self.config
-        self.engine = MotionEngine(
-            engine,
-            detector,
-            grade_named(config.imu_grade),
-            config.imu_rate_hz,
-            config.sample_rate_hz,
-        )
+        config, grade = self.config, grade_named(self.config.imu_grade)
+        rates = config.imu_rate_hz, config.sample_rate_hz
+        self.engine = MotionEngine(engine, detector, grade, *rates)
+        if not self.flow.lockstep:
+            rehearse_motion(engine, detector, grade, *rates)
         self.clock = SampleClock(config.start_utc_ns, config.sample_rate_hz)
         self.publisher = self.flow.publish_on("motion/state", MotionState, qos.LATCHED)
         self.diagnostics = self.flow.publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
         self.imu = CountedInput(counting=not self.flow.rejoins)
         self.said, self.second = 0, -1
-        self.create_subscription(Imu, "imu/data_raw", self.on_imu, qos.STREAM, raw=True)
+        self.create_subscription(Imu, "imu/data_raw", self.on_imu, qos.IMU, raw=True)
         self.flow.follow(["imu_source"], self.on_source)
 
     def on_imu(self, data: bytes) -> None:

@@ -9,9 +9,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from deepseis_core.config import setting
+from deepseis_core.counted import CountedInput
 from deepseis_core.ros import codecs, diagnostics, qos
 from deepseis_core.ros.codecs import subscribe
-from deepseis_core.ros.counted import CountedInput
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown

@@ -10,14 +10,15 @@ from rclpy.node import Node
 from sensor_msgs.msg import NavSatFix
 
 from deepseis_core.config import setting
+from deepseis_core.counted import CountedInput
 from deepseis_core.errors import InputError
 from deepseis_core.geodesy import ecef_from_enu
 from deepseis_core.gps_time import GpsTime
+from deepseis_core.latency import Arrivals
 from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_core.ros import codecs, diagnostics, qos
 from deepseis_core.ros.cdr import encode_message
 from deepseis_core.ros.codecs import subscribe
-from deepseis_core.ros.counted import CountedInput
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.navsat import fix_from_pvt
@@ -30,6 +31,7 @@ from deepseis_core.types import Observations as ObservationsValue
 from deepseis_core.types import Pvt as PvtValue
 from deepseis_msgs.msg import Observations, PrecisePosition, Pvt, Watermark
 from deepseis_pvt.assisted_start import assistance_of
+from deepseis_pvt.epoch_deadline import EpochDeadline
 from deepseis_pvt.observables import ObservablesConfig
 from deepseis_pvt.phase_displacement import PhaseConfig
 from deepseis_pvt.precise import PreciseConfig
@@ -37,14 +39,13 @@ from deepseis_pvt.precise_rtk import BaseConfig
 from deepseis_pvt.precise_set import PHASE_TOPIC, RTK_TOPIC, precise_positions
 from deepseis_pvt.products import RinexProducts
 from deepseis_pvt.pvt_engine import PvtConfig, PvtEngine
+from deepseis_pvt.rehearsal import rehearse
 from deepseis_pvt.rinex_obs import RinexStation
 from deepseis_pvt.rtk import RtkConfig
 from deepseis_pvt.spp import SppConfig
 from deepseis_pvt.still_reference import ReferenceConfig
 
 MOTION, BASE = "motion_state", "base_source"
-IN_FLIGHT_S = 0.04
-"""Realtime: what the newest satellite is ahead of others that are not late [s]."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class NodeConfig:
     )
     output_dir: str = setting("", "folder for RINEX; empty: none [path]")
     station_name: str = setting("DSEI00XXX", "nine characters of the RINEX names [-]")
-    pvt_deadline_ms: float = setting(200.0, "realtime: wait so long for a tracker [ms]", low=0)
+    pvt_deadline_ms: float = setting(200.0, "realtime: wait so long for inputs [ms]", low=0)
 
 
 class PvtNode(Node):
@@ -87,6 +88,7 @@ class PvtNode(Node):
                 config.satellites,
                 observables=observables,
                 spp=spp,
+                script=self.flow.script,
             )
         except ValueError as error:
             raise InputError("parameters of pvt", str(error)) from None
@@ -96,24 +98,21 @@ class PvtNode(Node):
             self.products = RinexProducts(
                 config.output_dir, station, patient=not self.flow.lockstep
             )
+        parts = precise, phase, reference, spp, rtk, base
         self.precise = precise_positions(
-            config.position_ecef,
-            self.engine.book,
-            config.sample_rate_hz,
-            precise,
-            phase,
-            reference,
-            spp,
-            rtk,
-            base,
+            config.position_ecef, self.engine.book, config.sample_rate_hz, *parts
         )
+        self.engine.witnesses = self.precise.late
+        if not self.flow.lockstep:
+            rehearse(config.sample_rate_hz, observables, *parts)
         followed = [*([MOTION] * precise.wait_motion), *([BASE] * precise.wait_base)]
         self.witnesses = {name: CountedInput(counting=not self.flow.rejoins) for name in followed}
         self.members = [*config.trackers, *followed]
         self.load_navigation()
         self.clock: SampleClock | None = None
         self.positions = self.ephemerides = self.precise_positions = self.epochs = 0
-        self.second, self.progressed, self.looked = -1, time.monotonic(), 0.0
+        self.second = -1
+        self.deadline, self.arrivals = EpochDeadline(1e-3 * config.pvt_deadline_ms), Arrivals()
         publish_on = self.flow.publish_on
         self.observations = publish_on("gnss/observations", Observations, qos.STREAM)
         self.pvt = publish_on("gnss/pvt", Pvt, qos.STREAM)
@@ -131,9 +130,12 @@ class PvtNode(Node):
             subscribe(self, codecs.OBSERVATIONS, "base/observations", self.on_base, qos.STREAM)
             subscribe(self, codecs.STATION, "base/reference", self.on_base_place, qos.LATCHED)
         self.flow.follow(self.members, self.on_watermark)
-        self.realtime = None if self.flow.lockstep else RealtimeReport(self, "pvt")
+        self.realtime: RealtimeReport | None = None
         if not self.flow.lockstep:
-            every(self, 0.02, self.on_deadline)
+            meters = {"samples_to_epoch": "from samples to their epoch"}
+            self.realtime = RealtimeReport(self, "pvt", meters, config.pvt_deadline_ms)
+            self.flow.follow(["if_source"], self.on_source)
+            every(self, 0.01, self.on_deadline)
 
     def load_navigation(self) -> None:
         """Preload ephemerides."""
@@ -156,6 +158,7 @@ class PvtNode(Node):
             self.clock = SampleClock.from_sample(epochs.block_sample_index, utc_ns, rate)
             known = self.config.position_ecef
             self.engine.assist(assistance_of(known, self.clock, troposphere=self.troposphere))
+        self.deadline.heard(epochs.satellite)
         self.engine.push_epochs(epochs)
         self.work()
 
@@ -205,17 +208,28 @@ class PvtNode(Node):
         if any(w.valid_through < others[n].valid_through for n, w in self.witnesses.items()):
             return
         self.work(self.engine.newest_sample())
+        if self.realtime is not None and self.clock is not None:
+            self.realtime.finish(self.clock.utc_ns(self.engine.worked_through))
         self.flow.finish()
 
+    def on_source(self, msg: Watermark) -> None:
+        """Realtime: note how far samples have come."""
+        self.deadline.arrived(msg.valid_through)
+        self.arrivals.note(msg.valid_through, time.monotonic())
+
     def on_deadline(self) -> None:
-        """Realtime: wait no longer than the deadline for a tracker."""
-        now = time.monotonic()
-        if now - self.looked > 0.1:
-            self.progressed = now  # this process itself stood still: its inputs are queued
-        self.looked = now
-        if now - self.progressed > self.config.pvt_deadline_ms * 1e-3:
-            in_flight = round(IN_FLIGHT_S * self.config.sample_rate_hz)
-            self.work(self.engine.newest_sample() - in_flight)
+        """Realtime: wait no longer than the deadline for what belongs to samples that are there.
+
+        While all satellites wait for the first search there is nothing to be late with.
+        """
+        self.deadline.look()
+        if self.clock is None or self.engine.newest_sample() < 0:
+            return
+        self.work()
+        sample = self.engine.valid_through + 1
+        while self.deadline.is_overdue(sample, self.engine.late(sample)):
+            self.work(sample)
+            sample = self.engine.valid_through + 1
 
     def work(self, force_through: int | None = None) -> None:
         """Work through all epochs that the watermarks allow and publish, the watermark last."""
@@ -224,18 +238,14 @@ class PvtNode(Node):
             self.precise.motion_valid(self.witnesses[MOTION].valid_through)
         if BASE in self.witnesses:
             self.precise.base_valid(self.witnesses[BASE].valid_through)
-        self.engine.allowed_through = self.precise.allowed_through
         for epoch in self.engine.steps(force_through):
-            if self.realtime is not None and self.engine.was_forced:
-                step = round(self.config.sample_rate_hz / self.engine.builder.config.rate_hz)
-                self.realtime.misses.note("trackers", self.engine.worked_through, step)
+            self.note()
             if epoch is not None:
                 self.publish(*epoch)
             self.report_each_second()
         worked = self.engine.worked_through
         if worked == before or self.clock is None:
             return
-        self.progressed = time.monotonic()
         self.flow.send(
             self.engine.valid_through,
             worked,
@@ -246,6 +256,18 @@ class PvtNode(Node):
             utc_ns=self.clock.utc_ns(worked),
         )
 
+    def note(self) -> None:
+        """Real time: note what an epoch lacked, and how long ago its samples came."""
+        if self.realtime is None:
+            return
+        worked = self.engine.worked_through
+        for what, through in self.engine.missed.items():
+            count = self.engine.valid_through + 1 - worked
+            self.realtime.misses.note(what, worked, count, through)
+        came = self.arrivals.of(worked)
+        if came is not None:
+            self.realtime.meters["samples_to_epoch"].add(time.monotonic() - came)
+
     def publish(self, observations: ObservationsValue, pvt: PvtValue | None) -> None:
         """Publish one epoch."""
         utc_ns = GpsTime(observations.week, observations.tow_ns).to_utc_ns()
@@ -255,7 +277,7 @@ class PvtNode(Node):
             self.positions += 1
             self.pvt.publish(codecs.PVT.encode(pvt, utc_ns))
             self.fix.publish(encode_message(fix_from_pvt(pvt, utc_ns)))
-        for topic, value in self.precise.solve(observations):
+        for topic, value in self.precise.solve(observations, self.engine.missed):
             self.precise_positions += topic == PHASE_TOPIC
             if topic in self.displacement:
                 self.displacement[topic].publish(codecs.PRECISE_POSITION.encode(value, utc_ns))

@@ -17,12 +17,14 @@ from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.ros.realtime import RealtimeReport
 from deepseis_core.ros.steady import every
 from deepseis_core.sample_clock import SampleClock
+from deepseis_core.types import AcquisitionResult as AcquisitionResultValue
 from deepseis_core.types import IfBlock
 from deepseis_msgs.msg import AcquisitionRequest, AcquisitionResult, Watermark
 from deepseis_tracking.acquisition import AcquisitionConfig
 from deepseis_tracking.acquisition_engine import AcquisitionEngine, RetryConfig
 from deepseis_tracking.acquisition_windows import Forecast, WarmStart
 from deepseis_tracking.engine import SlotConfig, check_satellites
+from deepseis_tracking.rehearsal import rehearse_search
 
 
 @dataclass(frozen=True)
@@ -44,9 +46,11 @@ class AcquisitionNode(Node):
         forecast = Forecast(declare(self, WarmStart))
         reject_unknown(self)
         self.engine = AcquisitionEngine(
-            check_satellites(slots.satellites), search, slots, retry, forecast
+            check_satellites(slots.satellites), search, slots, retry, forecast, self.flow.script
         )
-        self.engine.expect_trackers(self.peers.trackers)
+        if not self.flow.lockstep:
+            rehearse_search(search)
+        self.engine.expect_trackers(self.peers.trackers, counting=not self.flow.rejoins)
         self.publisher = self.flow.publish_on("acquisition/result", AcquisitionResult, qos.LATCHED)
         self.diagnostics = self.flow.publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
         self.clock: SampleClock | None = None
@@ -92,15 +96,22 @@ class AcquisitionNode(Node):
         """Realtime: do not wait longer for a tracker, which may have died."""
         overdue = time.monotonic() - 1e-3 * self.peers.tracker_deadline_ms
         self.work()
-        if self.engine.blocks and self.progressed < overdue and self.realtime is not None:
-            block = self.engine.blocks[0]
-            self.realtime.misses.note("trackers", block.sample_index, block.sample_count)
+        if self.engine.blocks and self.progressed < overdue:
             self.work(force=True)
+
+    def step(self, *, force: bool) -> list[AcquisitionResultValue] | None:
+        """Work through one block; in real time note what was not waited for."""
+        block = self.engine.blocks[0] if self.engine.blocks else None
+        results = self.engine.advance(force=force)
+        if results is not None and block is not None and self.realtime is not None:
+            for name, through in self.engine.missed.items():
+                self.realtime.misses.note(name, block.sample_index, block.sample_count, through)
+        return results
 
     def work(self, *, force: bool = False) -> None:
         """Work through all that the watermarks allow and publish."""
         engine, clock = self.engine, self.clock
-        while (results := engine.advance(force=force)) is not None and clock is not None:
+        while (results := self.step(force=force)) is not None and clock is not None:
             self.progressed, force = time.monotonic(), False
             for result in results:
                 stamp = clock.utc_ns(result.sample_index)
@@ -123,6 +134,8 @@ class AcquisitionNode(Node):
         if source is None or not source.end_of_stream or self.flow.ended:
             return
         if engine.consumed_through >= source.valid_through or self.flow.came_too_late:
+            if self.realtime is not None and clock is not None:
+                self.realtime.finish(clock.utc_ns(engine.consumed_through))
             self.flow.finish()
 
     def report(self, utc_ns: int) -> None:

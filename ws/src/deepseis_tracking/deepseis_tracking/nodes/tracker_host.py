@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from deepseis_core.config import setting
+from deepseis_core.deadline import Deadline
 from deepseis_core.errors import InputError
 from deepseis_core.latency import Arrivals
 from deepseis_core.ros import codecs, diagnostics, qos
@@ -26,6 +26,7 @@ from deepseis_core.types import AcquisitionResult, Aiding, IfBlock
 from deepseis_msgs.msg import AcquisitionRequest, Ephemeris, TrackingEpochs, Watermark
 from deepseis_tracking.channel import TrackingConfig
 from deepseis_tracking.engine import BlockOutput, SlotConfig, TrackingEngine, check_satellites
+from deepseis_tracking.rehearsal import rehearse_decoding
 
 
 @dataclass(frozen=True)
@@ -69,17 +70,20 @@ class TrackerHost:
                 slots,
                 wait_acquisition=self.config.wait_acquisition,
                 wait_aiding=self.config.aiding,
+                script=self.flow.script,
             )
         except ValueError as error:
             raise InputError(f"parameters of {self.name}", str(error)) from None
         self.engine.compile()
+        if not self.flow.lockstep:
+            rehearse_decoding(slots.reference_week)
         self.satellites = {name: SatelliteNode(name, self.flow) for name in names}
         for satellite_node in self.satellites.values():
             process.add(satellite_node)
         self.diagnostics = self.flow.publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
         self.clock: SampleClock | None = None
-        self.second, self.looked = -1, 0.0
-        self.arrivals: deque[float] = deque()
+        self.second = -1
+        self.deadline = Deadline(1e-3 * self.config.aiding_deadline_ms)
         self.flow.follow(["if_source"], self.on_source)
         if self.config.wait_acquisition:
             self.flow.follow(["acquisition"], self.on_acquisition)
@@ -119,17 +123,16 @@ class TrackerHost:
         """Note when IMU samples were there: it is the fusion that works with them."""
         self.came["imu_to_use"].note(msg.valid_through, time.monotonic())
 
-    def note(self, block: IfBlock, missing: str) -> None:
+    def note(self, output: BlockOutput) -> None:
         """Real time: note what a block lacked, and how old its aiding is by now."""
         if self.realtime is None:
             return
+        block = output.block
         last = block.sample_index + block.sample_count - 1
-        aided = not self.config.aiding or self.engine.aiding_through >= last
-        lacked = {missing} - {"", "samples", "aiding"} | ({"aiding"} if not aided else set())
-        for what in lacked:
-            self.realtime.misses.note(what, block.sample_index, block.sample_count)
+        for what, through in output.missed.items():
+            self.realtime.misses.note(what, block.sample_index, block.sample_count, through)
         now = time.monotonic()
-        for key, meter in self.realtime.meters.items() if aided else ():
+        for key, meter in self.realtime.meters.items() if "aiding" not in output.missed else ():
             came = self.came[key].of(last)
             if came is not None:
                 meter.add(now - came)
@@ -140,7 +143,7 @@ class TrackerHost:
             return
         if self.flow.rejoins and self.engine.joined_at < 0:
             self.engine.join(block.sample_index, block.sample_rate_hz)
-        self.arrivals.append(time.monotonic())
+        self.deadline.arrived(block.sample_index + block.sample_count - 1)
         self.engine.push_block(block)
         if self.clock is None:
             rate = block.sample_rate_hz
@@ -169,23 +172,17 @@ class TrackerHost:
 
     def on_deadline(self) -> None:
         """Realtime: wait no longer than the deadline, but for the first acquisition."""
-        now = time.monotonic()
-        if now - self.looked > 0.1:  # this process itself stood still: its inputs are queued
-            self.arrivals = deque([now] * len(self.arrivals))
-        self.looked = now
-        overdue = now - self.config.aiding_deadline_ms * 1e-3
-        while self.arrivals and self.arrivals[0] < overdue:
+        overdue = self.deadline.look()
+        while self.engine.next_through() <= overdue:
             if self.engine.waiting_for() == "acquisition" and not self.engine.is_tracking:
                 break
             self.work(force=True)
 
     def work(self, *, force: bool = False) -> None:
         """Work through all blocks whose inputs are there and publish."""
-        missing = self.engine.waiting_for() if force else ""
         while (output := self.engine.advance(force=force)) is not None:
-            self.note(output.block, missing)
-            force, missing = False, ""
-            self.arrivals.popleft()
+            self.note(output)
+            force = False
             self.publish(output)
         if self.engine.blocks:
             self.flow.flush()
@@ -193,6 +190,8 @@ class TrackerHost:
         if source is None or not source.end_of_stream or self.flow.ended:
             return
         if self.engine.done_through >= source.valid_through or self.flow.came_too_late:
+            if self.realtime is not None and self.clock is not None:
+                self.realtime.finish(self.clock.utc_ns(self.engine.done_through))
             self.flow.finish()
 
     def publish(self, output: BlockOutput) -> None:

@@ -43,6 +43,11 @@ class CountedInput:
         self._announced.append((count, valid_through))
         self._settle()
 
+    def trust(self) -> None:
+        """Count no longer: watermarks hold as they come."""
+        self.counting = False
+        self._settle()
+
     def _settle(self) -> None:
         while self._announced and (not self.counting or self._announced[0][0] <= self._received):
             _, through = self._announced.popleft()
