@@ -13,6 +13,7 @@ from deepseis_bringup.commission_data import read_station_data
 from deepseis_bringup.report_document import document
 
 LONGEST_S: Final = 600.0
+CELL: Final = "white-space:normal;text-align:left"
 COLOURS: Final = {PASS: "#1a7f37", FAIL: "#cf222e", OPEN: "#8a6100"}
 
 
@@ -81,16 +82,17 @@ def page(station: str, checks: Sequence[Check]) -> str:
         f'<header class="top"><p class="kind">DeepSeis commissioning</p><h1>{escape(title)}</h1>'
         f'<p class="lead">{escape(verdict(checks))}</p></header>'
     )
+    names = ("Check", "Result", "Found", "Expected", "What to look at")
+    headings = "".join(f'<th style="{CELL}">{name}</th>' for name in names)
     table = (
-        "<h2>Checks</h2><figure><div class='scroll'><table><thead><tr><th>Check</th>"
-        "<th>Result</th><th>Found</th><th>Expected</th><th>What to look at</th></tr></thead>"
+        f"<h2>Checks</h2><figure><div class='scroll'><table><thead><tr>{headings}</tr></thead>"
         f"<tbody>{rows}</tbody></table></div></figure>"
     )
-    return document(title, head, [table], [])
+    return document(title, head, [table], [], "What each check means: docs/operations.md.")
 
 
 def _row(check: Check) -> str:
     colour = COLOURS[check.status]
     mark = f'<strong style="color:{colour}">{check.status}</strong>'
     cells = (escape(check.name), mark, *map(escape, (check.found, check.expected, check.text)))
-    return "<tr>" + "".join(f'<td style="white-space:normal">{c}</td>' for c in cells) + "</tr>"
+    return "<tr>" + "".join(f'<td style="{CELL}">{c}</td>' for c in cells) + "</tr>"

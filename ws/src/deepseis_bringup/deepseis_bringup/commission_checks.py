@@ -105,7 +105,7 @@ def position(data: StationData) -> list[Check]:
     spread = off.std(axis=0) / sqrt(max(1.0, len(seen) / 100.0))  # errors last for seconds
     sd = np.hypot(SPP_SD, spread)
     bad = bool(np.any(np.abs(mean) > 3.0 * sd))
-    expected = f"0 within 3 sigma: {_enu(3.0 * sd)} m"
+    expected = "0 within " + " ".join(f"{v:.1f}" for v in 3.0 * sd) + " m (3 sigma)"
     text = "the monument's coordinates, or its lever arm to the antenna, are of another place"
     return [_judge(name, bad, f"E N U {_enu(mean)} m", expected, text)]
 
@@ -148,7 +148,7 @@ def clock(data: StationData) -> list[Check]:
 def signal(data: StationData) -> list[Check]:
     """Look at C/N0 of high satellites, and at the sky."""
     if not data.pvt or not data.observations:
-        return [Check("C/N0", OPEN, "no position", "")]
+        return [Check("C/N0", OPEN, "no position or no observations", "")]
     last = data.pvt[-1]
     height = dict(zip(last.satellites, np.degrees(last.elevation), strict=False))
     azimuth = dict(zip(last.satellites, np.degrees(last.azimuth), strict=False))

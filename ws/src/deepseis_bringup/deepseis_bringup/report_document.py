@@ -11,8 +11,19 @@ from typing import Any
 from deepseis_bringup.report_plot import Colours, Figure
 from deepseis_bringup.report_style import SCRIPT, STYLE
 
+FOOTER = (
+    "All times count from the first sample of the run. Drag to zoom, double-click to go back; the "
+    "buttons at the top show or hide a satellite everywhere."
+)
 
-def document(title: str, head: str, body: Iterable[str], panels: list[dict[str, Any]]) -> str:
+
+def document(
+    title: str,
+    head: str,
+    body: Iterable[str],
+    panels: list[dict[str, Any]],
+    footer: str = FOOTER,
+) -> str:
     """Return the page.
 
     Parameters
@@ -25,6 +36,8 @@ def document(title: str, head: str, body: Iterable[str], panels: list[dict[str, 
         HTML of the sections.
     panels : list
         Drawings, as `place` collected them.
+    footer : str
+        Plain text below all.
     """
     data = json.dumps(panels, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     return (
@@ -32,8 +45,7 @@ def document(title: str, head: str, body: Iterable[str], panels: list[dict[str, 
         f'<meta name="viewport" content="width=device-width,initial-scale=1">'
         f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>"
         f"{head}<main>{''.join(body)}</main>"
-        "<footer>All times count from the first sample of the run. Drag to zoom, double-click to "
-        "go back; the buttons at the top show or hide a satellite everywhere.</footer>"
+        f"<footer>{escape(footer)}</footer>"
         f"<script>{_plotly()}</script>"
         f'<script type="application/json" id="figures">{data}</script>'
         f"<script>{SCRIPT}</script></body></html>\n"

@@ -53,7 +53,8 @@ def station_nodes(context):
     coupling = LaunchConfiguration("coupling").perform(context)
     config = replace(config, parameters=coupled(config.parameters, coupling))
     folder = new_run_folder(Path(LaunchConfiguration("output").perform(context))).resolve()
-    specs = build_graph(config.graph(folder))
+    graph = config.graph(folder)
+    specs = build_graph(graph)
     (folder / "parameters").mkdir(parents=True)
 
     def node(spec, **how):
@@ -71,7 +72,30 @@ def station_nodes(context):
     page = config.live_page
     looking_on = [node(page_spec(page), respawn=True, respawn_delay=5.0)] if page else []
     ending = [node(spec, on_exit=[Shutdown(reason=f"{spec.name} has ended")]) for spec in specs]
-    return [*looking_on, *ending]
+    frames = frame_publishers(graph.parameters.get("fusion", {}), config.station)
+    return [*looking_on, *frames, *ending]
+
+
+def frame_publishers(fusion, station):
+    """Return what publishes the station's static frames on its own tf_static, if tf2 is there."""
+    from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+
+    from deepseis_bringup.frames import static_transforms
+
+    try:
+        get_package_prefix("tf2_ros")
+    except PackageNotFoundError:
+        return []
+    return [
+        Node(
+            package="tf2_ros",
+            executable="static_transform_publisher",
+            namespace=station or None,
+            arguments=frame.arguments(),
+            remappings=[("/tf_static", "tf_static")],
+        )
+        for frame in static_transforms(fusion)
+    ]
 
 
 def node_arguments(spec):
