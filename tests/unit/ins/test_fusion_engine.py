@@ -261,6 +261,37 @@ def test_clipping_is_counted_and_makes_it_less_sure(run: FusionBench) -> None:
     assert np.sqrt(np.mean(moving.error() ** 2)) < 3 * moving.sd().mean()
 
 
+def test_clipping_at_a_range_that_nobody_told_is_noticed(run: FusionBench) -> None:
+    limit = 15.0
+    clipped = [
+        replace(item, linear_acceleration=np.clip(item.linear_acceleration, -limit, limit))
+        for item in run.inputs.imu
+    ]
+    engine = run.engine(imu=clipped)
+    outputs = run.run(engine)
+    at_limit = [np.abs(item.linear_acceleration).max() == limit for item in clipped]
+    # 2 g at 2 Hz stays beyond 15 m/s^2 for 0.11 s at a time: all but the first two samples.
+    assert 0.8 * np.sum(at_limit) < engine.statistics["clipped"] <= np.sum(at_limit)
+    plain = run.engine()
+    run.run(plain)
+    assert plain.statistics["clipped"] == 0
+    moving = outputs.between(14.0, 18.0)
+    assert np.sqrt(np.mean(moving.error() ** 2)) < 3 * moving.sd().mean()
+
+
+def test_missing_data_have_moved_the_station_too(run: FusionBench) -> None:
+    there = [s for s in run.inputs.imu if not 13.5 * RATE < s.sample_index <= 14.0 * RATE]
+    outputs = run.run(run.engine(imu=there), 14.2)
+    motion = [m for item in outputs.between(13.5, 14.0).spans for m in item.motion]
+    start = run.bench.start.tow_ns
+    t = np.array([(m.tow_ns[-1] - start) * 1e-9 for m in motion])
+    true = run.bench.motion.at(t).position - run.bench.motion.at(np.zeros(1)).position
+    error = np.array([m.displacement[-1] for m in motion]) - true
+    ratio = np.abs(error) / np.array([m.displacement_sd[-1] for m in motion])
+    assert np.abs(error).max() > 0.1  # 2 g over D and more: not to be known
+    assert ratio.max() < 4.0
+
+
 def test_the_imu_dies(run: FusionBench) -> None:
     there = [item for item in run.inputs.imu if item.sample_index < 13 * RATE]
     engine = run.engine(imu=there)

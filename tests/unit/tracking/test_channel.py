@@ -123,6 +123,37 @@ def test_no_phase_is_called_locked_when_the_signal_has_vanished(cn0_dbhz, until)
     assert column(epochs, "cn0_dbhz")[t > until + 0.5].max() < 24.0
 
 
+def test_every_integration_without_a_signal_is_marked_before_the_lock_is_given_up():
+    signal = Signal(cn0_dbhz=47.0)
+    channel = Channel("G07", RATE)
+    channel.hand_over(signal.result(), 0)
+    window = BasebandWindow(BLOCK + 60_000)
+    epochs = []
+    for index in range(140):
+        if index == 125:
+            signal.amplitude = 0.0
+        window.push(*signal.block(index), index * BLOCK)
+        epochs.append(channel.advance(window, index * BLOCK, -1)[0])
+    t, flags = column(epochs, "sample_index") / RATE, column(epochs, "flags")
+    locked = (flags & TrackingFlag.PHASE_LOCK) > 0
+    slip = (flags & TrackingFlag.SLIP) > 0
+    assert locked[t > 2.501].any()
+    assert slip[t > 2.501].all()
+    assert not slip[(t > 1.5) & (t < 2.47)].any()
+
+
+def test_a_loop_that_slips_is_marked_before_it_is_half_a_cycle_off():
+    signal = Signal(motion=circle)
+    _, epochs = track(signal, 8.0, TrackingConfig(pll_bandwidth_hz=8.0))
+    error = phase_error(signal, epochs)
+    whole = column(epochs, "sample_count") > 0.015 * RATE
+    t = column(epochs, "sample_index")[whole] / RATE
+    marked = (column(epochs, "flags")[whole] & TrackingFlag.SLIP) > 0
+    assert np.ptp(error[t > 4.0]) > 0.5  # it does slip
+    arcs = np.split(np.arange(t.size), np.flatnonzero(marked))
+    assert max(np.ptp(error[arc]) for arc in arcs if arc.size) < 0.5
+
+
 def test_a_signal_that_is_10_db_weaker_at_once_keeps_its_lock():
     signal = Signal(cn0_dbhz=45.0)
     strong = signal.amplitude

@@ -16,6 +16,7 @@ from deepseis_bringup import (
     cli_rtk,
     cli_runs,
     cli_sim,
+    cli_soak,
     cli_station,
     cli_theory,
 )
@@ -100,6 +101,7 @@ for commands in (
     cli_commission,
     cli_rtk,
     cli_accept,
+    cli_soak,
 ):
     commands.register(app)
 

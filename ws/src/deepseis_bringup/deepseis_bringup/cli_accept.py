@@ -13,6 +13,7 @@ from deepseis_bringup.cli_common import Out, add_command, into_run_folder, say
 
 REPEATED: Final[Mapping[str, str]] = {
     "displacement": "accept_displacement",
+    "faults": "accept_faults",
     "tight": "accept_tight",
     "tracking": "accept_tracking",
     "gyrofree": "accept_gyrofree",
@@ -26,7 +27,7 @@ def accept(
     output: Out = None,
     short: Annotated[bool, typer.Option("--short", help="Short forms of the scenarios.")] = False,
 ) -> None:
-    r"""Repeat a paper's tables: published value, ours, goal, limit.
+    r"""Repeat a paper's tables, or measure what faults cost: ours, goal, limit.
 
     Leaves NAME.csv and NAME.html. Exit status 0 means that it was measured, not that every goal
     is met; the last column says that.

@@ -1,4 +1,4 @@
-"""Command: sim."""
+"""Commands of the test bench: sim, fault."""
 
 from __future__ import annotations
 
@@ -7,7 +7,14 @@ from typing import Annotated
 
 import typer
 
-from deepseis_bringup.cli_common import add_command, into_run_folder, one_line_errors, say
+from deepseis_bringup.cli_common import (
+    Bag,
+    add_command,
+    bag_of,
+    into_run_folder,
+    one_line_errors,
+    say,
+)
 
 
 def sim(
@@ -85,6 +92,44 @@ def sim(
     into_run_folder(output, work)
 
 
+def fault(
+    bag: Bag,
+    faults: Annotated[
+        list[str],
+        typer.Option(
+            "--fault",
+            help="kind:start:duration[:amount] [s]; may be repeated. Kinds: imu-gap, imu-clip "
+            "(amount: m/s^2), imu-sparse (share), no-signal, if-gap, base-gap.",
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Folder, new or empty; default runs/<UTC>."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of what is drawn by chance.")] = 1,
+) -> None:
+    r"""Copy a recording with faults put in, to see what the station makes of them.
+
+    Leaves bag/ and, of a simulated recording, truth, orbits and base beside it, so that
+    `./deepseis replay DIR` compares with the truth.
+
+    \b
+    Examples:
+      ./deepseis fault runs/quake -o runs/gap --fault imu-gap:34.5:1
+      ./deepseis fault runs/quake -o runs/bad --fault imu-clip:20:22:14.7 --fault no-signal:30:3
+    """
+
+    def work(folder: Path) -> None:
+        from deepseis_bringup.faulty_bag import faulty_bag
+        from deepseis_sim.faults import Fault
+
+        found = faulty_bag(bag_of(bag), folder, [Fault.parse(text) for text in faults], seed=seed)
+        for name, count in found.items():
+            typer.echo(f"{name} = {count} messages")
+
+    into_run_folder(output, work)
+
+
 def _yaml(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
@@ -92,5 +137,6 @@ def _yaml(value: object) -> str:
 
 
 def register(app: typer.Typer) -> None:
-    """Add the command to the application."""
+    """Add the commands to the application."""
     add_command(app, sim)
+    add_command(app, fault)

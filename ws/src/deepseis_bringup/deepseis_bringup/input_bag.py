@@ -63,7 +63,7 @@ class InputBag:
         """
         type_name, quality = TYPES[topic]
         if not self.counts[topic]:
-            self.bag.add_topic(f"/{topic}", type_name, _offered(quality))
+            self.bag.add_topic(f"/{topic}", type_name, offered(quality))
         self.counts[topic] += 1
         valid = self.start_utc_ns + offset_ns
         stamp = valid if stamp_ns is None else self.start_utc_ns + stamp_ns
@@ -83,7 +83,8 @@ class InputBag:
         self.bag.__exit__(kind, error, trace)
 
 
-def _offered(quality: str) -> TopicQos:
+def offered(quality: str) -> TopicQos:
+    """Return what a publisher of a quality of service (`deepseis_core.ros.qos`) offers."""
     profile = qos.BY_NAME[quality]
     durability = "transient_local" if quality == "latched" else "volatile"
     return TopicQos(depth=profile.depth, durability=durability)

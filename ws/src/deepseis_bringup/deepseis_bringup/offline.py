@@ -91,7 +91,7 @@ class OfflineChain:
     def __init__(self, config: GraphConfig, aiding: Aider | None = None) -> None:
         tracker = config.parameters.get("tracker", {})
         searcher = config.parameters.get("acquisition", {})
-        chosen = _pick(_Source, config.source)
+        chosen = pick(_Source, config.source)
         self.source, self.aiding = open_source(chosen), aiding
         names = check_satellites(list(config.satellites))
         start_ns = utc_ns_from_iso(chosen.start_utc) if chosen.start_utc else 0
@@ -99,17 +99,17 @@ class OfflineChain:
         self.clock = SampleClock(start_ns, self.source.sample_rate_hz)
         self.acquisition = AcquisitionEngine(
             names,
-            _pick(AcquisitionConfig, searcher),
-            _pick(SlotConfig, searcher),
-            _pick(RetryConfig, searcher),
-            Forecast(_pick(WarmStart, searcher)),
+            pick(AcquisitionConfig, searcher),
+            pick(SlotConfig, searcher),
+            pick(RetryConfig, searcher),
+            Forecast(pick(WarmStart, searcher)),
         )
         self.acquisition.clock = self.clock
         self.acquisition.expect_trackers([TRACKERS])
         self.tracking = TrackingEngine(
             names,
-            _pick(TrackingConfig, tracker),
-            _pick(SlotConfig, tracker),
+            pick(TrackingConfig, tracker),
+            pick(SlotConfig, tracker),
             wait_aiding=aiding is not None or config.aiding == "fusion",
         )
         known = {**precise_parameters(config), **config.parameters.get("pvt", {})}
@@ -127,7 +127,7 @@ class OfflineChain:
         self.inertial: InertialChain | None = None
         if config.aiding == "fusion":
             self.inertial = InertialChain(
-                config.imu_file or chosen.file, self.clock, config.parameters, _pick
+                config.imu_file or chosen.file, self.clock, config.parameters, pick
             )
 
     def run(self) -> Iterator[Output]:
@@ -241,22 +241,22 @@ def _precise(config: GraphConfig, given: Any, book: EphemerisBook) -> PrecisePos
         given.get("position_ecef", ()),
         book,
         config.sample_rate_hz,
-        _pick(PreciseConfig, given),
-        _pick(PhaseConfig, given),
-        _pick(ReferenceConfig, given),
-        _pick(SppConfig, given),
-        _pick(RtkConfig, given),
-        _pick(BaseConfig, given),
+        pick(PreciseConfig, given),
+        pick(PhaseConfig, given),
+        pick(ReferenceConfig, given),
+        pick(SppConfig, given),
+        pick(RtkConfig, given),
+        pick(BaseConfig, given),
     )
 
 
 def _pvt_engine(config: GraphConfig, given: Any) -> PvtEngine:
     engine = PvtEngine(
-        _pick(PvtConfig, given),
+        pick(PvtConfig, given),
         config.sample_rate_hz,
         config.satellites,
-        observables=_pick(ObservablesConfig, given),
-        spp=_pick(SppConfig, given),
+        observables=pick(ObservablesConfig, given),
+        spp=pick(SppConfig, given),
     )
     if given.get("nav_file"):
         file = read_rinex_nav(given["nav_file"])
@@ -267,7 +267,7 @@ def _pvt_engine(config: GraphConfig, given: Any) -> PvtEngine:
     return engine
 
 
-def _pick(config_type: type[Config], given: Any) -> Config:
+def pick(config_type: type[Config], given: Any) -> Config:
     """Fill a settings dataclass with those of the given parameters that are its own."""
     names = {item.name for item in fields(config_type)}  # type: ignore[arg-type]
     config = config_type(**{name: value for name, value in given.items() if name in names})

@@ -45,6 +45,8 @@ class InertialChain:
         Parameters of ``fusion``, ``motion_state`` and ``seismic_event``.
     pick : callable
         Fills a settings dataclass from parameters.
+    samples : iterator of ImuSample, optional
+        In place of those in the file.
 
     Attributes
     ----------
@@ -53,13 +55,18 @@ class InertialChain:
     """
 
     def __init__(
-        self, file: str, clock: SampleClock, given: Mapping[str, Mapping[str, Any]], pick: Pick
+        self,
+        file: str,
+        clock: SampleClock,
+        given: Mapping[str, Mapping[str, Any]],
+        pick: Pick,
+        samples: Iterator[ImuSample] | None = None,
     ) -> None:
         self.clock, known = clock, dict(given.get("fusion", {}))
         if "imu_grade" not in known:
             raise InputError(file, "the inertial half needs parameters", "inertial_parameters")
         rate, grade = float(known["imu_rate_hz"]), grade_named(known["imu_grade"])
-        self.samples = open_imu(file, clock).samples()
+        self.samples = open_imu(file, clock).samples() if samples is None else samples
         self.next: ImuSample | None = next(self.samples)
         detector = dict(given.get("motion_state", {}))
         self.motion = MotionEngine(

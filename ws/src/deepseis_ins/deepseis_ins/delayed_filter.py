@@ -43,7 +43,7 @@ from deepseis_ins.fusion_smoother import Carried, FusionSmoother
 from deepseis_ins.gnss_epochs import Epoch, PreciseEpoch, has_position
 from deepseis_ins.gnss_offset import GnssOffsets
 from deepseis_ins.gnss_updates import GnssUpdates
-from deepseis_ins.imu_history import ImuHistory
+from deepseis_ins.imu_history import NOTHING, ImuHistory
 from deepseis_ins.loose import LooseFilter
 from deepseis_ins.motion_timeline import MotionTimeline
 from deepseis_ins.oscillator_terms import OscillatorTerms
@@ -258,9 +258,14 @@ class DelayedFilter:
         begin, end = self.row + 1, row + 1
         angle, velocity = history.increments(begin, end)
         self._carried = [self.filter.propagate(angle, velocity, history.dt)]
-        walk2, turn2 = history.unknown(begin, end)
-        if walk2 or turn2:
-            self.filter.widen(velocity_sd=walk2**0.5, attitude_sd=turn2**0.5)
+        unknown = history.unknown(begin, end)
+        if unknown is not NOTHING:
+            self.filter.widen(
+                position_sd=unknown.position**0.5,
+                velocity_sd=unknown.velocity**0.5,
+                attitude_sd=unknown.attitude**0.5,
+                moved=unknown.moved,
+            )
         self.row = row
 
     def _hand_over(self, first: int, sample_index: int, kind: int) -> None:

@@ -142,6 +142,10 @@ class FusionConfig:
     regained_sd: float = setting(
         0.1, "velocity's sigma with which aiding is back after a gap [m/s]", low=1e-3, high=10.0
     )
+    regained_late_sd: float = setting(
+        0.5, "the same a second after it: loops have slipped, and tell no better [m/s]",
+        low=1e-3, high=10.0,
+    )  # fmt: skip
     greatest_sd: float = setting(
         10.0, "velocity's sigma beyond which there is no aiding [m/s]", low=1e-2, high=1e3
     )

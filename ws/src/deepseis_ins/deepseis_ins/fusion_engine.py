@@ -54,6 +54,8 @@ from deepseis_ins.oscillator_terms import OscillatorTerms
 from deepseis_ins.satellite_book import Chosen
 
 SOURCE = "fusion"
+LATE_S = 1.0
+"""After a gap: loops that could not do without aiding for so long have slipped [s]."""
 LOST_S = 30.0
 """IMU data missing for so long: the station starts anew."""
 
@@ -121,7 +123,7 @@ class FusionEngine(FusionInputs):
         self.delayed: DelayedFilter | None = None
         self.timebase = Timebase(SOURCE, sample_rate_hz)
         self._reported = -1
-        self._recovering = False
+        self._recovering, self._lost_at = False, -1
         self._joined = False
         self._latest: Pvt | None = None
         self.trouble = ""
@@ -363,9 +365,12 @@ class FusionEngine(FusionInputs):
         lost = self.history.missing_at_end() > short if extrapolated else made_up > 1
         self._recovering |= lost
         if lost:
+            self._lost_at = self.next_sample
             return FusionStatus.IMU_LOST
         sd = present.velocity_sd()
-        if self._recovering and sd > self.config.regained_sd:
+        late = self.next_sample - self._lost_at > LATE_S * self.sample_rate_hz
+        enough = self.config.regained_late_sd if late else self.config.regained_sd
+        if self._recovering and sd > enough:
             return FusionStatus.RECOVERING
         self._recovering = False
         if sd > self.config.greatest_sd:

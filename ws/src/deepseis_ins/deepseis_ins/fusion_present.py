@@ -10,7 +10,7 @@ from deepseis_core.constants import L1_WAVELENGTH
 from deepseis_core.types import Float32Array, FloatArray
 from deepseis_ins.antenna_motion import Nodes
 from deepseis_ins.delayed_filter import DelayedFilter
-from deepseis_ins.error_state import VEL
+from deepseis_ins.error_state import POS, VEL
 from deepseis_ins.fusion_kernels import carry_on_kernel
 from deepseis_ins.measurement_kernels import ned_from_ecef_kernel
 from deepseis_ins.strapdown import Trajectory
@@ -31,7 +31,7 @@ class Present:
     gyro_bias, accel_bias : ndarray, shape (3,)
         Forward-right-down [rad/s, m/s^2].
     covariance : ndarray, shape (15, 15)
-        The filter's, and what IMU data that are missing since add.
+        The filter's, what its velocity makes of it since, and IMU data that are missing.
     moved_covariance : ndarray, shape (3, 3)
         Of the displacement from where the station was surveyed to stand, NED [m^2].
     lever_rate_variance : float
@@ -72,8 +72,11 @@ class Present:
         )  # fmt: skip
         nodes = Nodes.of(history.indices(begin, end), trajectory, delayed.lever_arm_b, origin)
         covariance, moved = delayed.covariances()
-        walk2, _ = history.unknown(begin + 1, end)
-        covariance[VEL, VEL] += walk2 * np.eye(3)
+        unknown = history.unknown(begin + 1, end)
+        stray = _stray(covariance, (n - 1) * history.dt) + unknown.position * np.eye(3)
+        covariance[POS, POS] += stray
+        moved += stray
+        covariance[VEL, VEL] += unknown.velocity * np.eye(3)
         turn2 = filter.grade.gyros.walk**2 / history.dt
         swing2 = turn2 * float(delayed.lever_arm_b @ delayed.lever_arm_b)
         return cls(trajectory, nodes, gained, bias[:3], bias[3:], covariance, moved, swing2)
@@ -92,3 +95,9 @@ class Present:
         variance = ((unit_n @ self.covariance[VEL, VEL]) * unit_n).sum(axis=1)
         variance += self.lever_rate_variance
         return (np.sqrt(variance) / L1_WAVELENGTH).astype(np.float32)
+
+
+def _stray(covariance: FloatArray, seconds: float) -> FloatArray:
+    """Return by what a position's covariance grows while its velocity carries it on [m^2]."""
+    together = covariance[POS, VEL] * seconds
+    return np.asarray(together + together.T + seconds**2 * covariance[VEL, VEL])

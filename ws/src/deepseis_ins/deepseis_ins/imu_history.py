@@ -16,13 +16,15 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right, insort
+from dataclasses import dataclass
 from enum import IntFlag
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deepseis_core.errors import InputError
-from deepseis_core.imu_grades import ImuGrade
+from deepseis_core.imu_grades import STANDARD_GRAVITY, ImuGrade
 from deepseis_core.rotation import flu_from_frd
 from deepseis_core.types import FloatArray, ImuSample, IntArray
 from deepseis_ins.fusion_config import FusionConfig
@@ -31,6 +33,8 @@ _AT_RANGE = 0.999
 """Of the range: a rate so large is taken as clipped."""
 _IMPOSSIBLE = 1.1
 """Of that: no sensor gives so much, it was lost on the way."""
+FLAT_ROWS: Final = 3
+"""So many equal forces in a row are a sensor at the end of its range."""
 _ROWS = 4096
 """Room for rows, at least."""
 
@@ -48,6 +52,25 @@ class RowFlag(IntFlag):
     """Made up between two samples that are there."""
 
 
+@dataclass(frozen=True)
+class Unknown:
+    """Variances that faulty rows add at their end, of each axis.
+
+    Attributes
+    ----------
+    velocity, attitude, position : float
+        [m^2/s^2, rad^2, m^2]
+    moved : float
+        Covariance of position and velocity [m^2/s].
+    """
+
+    velocity: float = 0.0
+    attitude: float = 0.0
+    position: float = 0.0
+    moved: float = 0.0
+
+
+NOTHING: Final = Unknown()
 _MADE_UP = int(RowFlag.MISSING | RowFlag.BRIDGED)
 
 
@@ -81,6 +104,9 @@ class ImuHistory:
         self._to_increments = np.hstack([flu_from_frd(np.full(3, self.dt))] * 2)
         ranges = np.repeat([grade.gyros.range, grade.accelerometers.range], 3)
         self._limits = _AT_RANGE * self.dt * ranges
+        self._beyond_gravity = 1.15 * STANDARD_GRAVITY * self.dt
+        noise = grade.accelerometers.walk * self.dt**0.5
+        self._has_noise = noise > 3.0 * grade.accelerometers.resolution
         walks = np.array([config.missing_walk, config.clipped_walk, config.bridged_walk])
         angle_walk = np.radians(config.missing_angle_walk_deg)
         self._walk2: list[float] = (walks**2).tolist()
@@ -158,17 +184,24 @@ class ImuHistory:
         held = self.first <= begin and end <= self.end
         return held and not self.count(begin, end, RowFlag.MISSING | RowFlag.CLIPPED)
 
-    def unknown(self, begin: int, end: int) -> tuple[float, float]:
-        """Return variances of velocity and attitude that faulty rows add [m^2/s^2, rad^2]."""
-        missing, clipped, bridged = (
-            self.count(begin, end, flag) * self.dt
-            for flag in (RowFlag.MISSING, RowFlag.CLIPPED, RowFlag.BRIDGED)
-        )
-        walk2, turn2 = self._walk2, self._turn2
-        return (
-            walk2[0] * missing + walk2[1] * clipped + walk2[2] * bridged,
-            turn2[0] * missing + turn2[1] * bridged,
-        )
+    def unknown(self, begin: int, end: int) -> Unknown:
+        """Return what faulty rows leave unknown at the end of the last of them."""
+        flags = self._flags[max(begin - self.first, 0) : max(end - self.first, 0)]
+        if not flags.any():
+            return NOTHING
+        walk2, turn2, late = 0.0, 0.0, self.dt * (len(flags) - np.arange(len(flags)) - 0.5)
+        rates = np.zeros(len(flags))
+        kinds = RowFlag.MISSING, RowFlag.CLIPPED, RowFlag.BRIDGED
+        turns = self._turn2[0], 0.0, self._turn2[1]
+        for flag, of_velocity, of_turn in zip(kinds, self._walk2, turns, strict=True):
+            there = (flags & int(flag)) != 0
+            rates += of_velocity * there
+            turn2 += of_turn * self.dt * int(np.count_nonzero(there))
+        rates *= self.dt
+        walk2 = float(rates.sum())
+        # Of a row itself: a walk of white noise has moved by dt^2 / 3 of its velocity's variance.
+        moved2 = float((rates * (late**2 + self.dt**2 / 12.0)).sum())
+        return Unknown(walk2, turn2, moved2, float((rates * late).sum()))
 
     def forget(self, before: int) -> None:
         """Drop rows before a number that nobody will ask for again."""
@@ -228,10 +261,26 @@ class ImuHistory:
 
     def _write(self, number: int, sample_index: int, delta: FloatArray) -> None:
         clipped = bool((np.abs(delta) >= self._limits).any())
+        if not clipped and self._is_flat(delta, number):
+            clipped = True
+            before = slice(number - FLAT_ROWS + 1 - self.first, number - self.first)
+            self._flags[before] |= int(RowFlag.CLIPPED)
         self.counts["samples"] += 1
         self.counts["clipped"] += clipped
         self._set(number, sample_index, delta, int(RowFlag.CLIPPED) if clipped else 0)
         self._anchor = number
+
+    def _is_flat(self, delta: FloatArray, number: int) -> bool:
+        """Tell whether a force beyond gravity repeats itself to the last digit.
+
+        No sensor with noise does that, but at an end of its range that nobody has told.
+        """
+        high = np.abs(delta[3:]) > self._beyond_gravity
+        first = number - FLAT_ROWS + 1 - self.first
+        if not high.any() or not self._has_noise or first < 0:
+            return False
+        before = self._delta[first : number - self.first, 3:]
+        return bool((high & (before == delta[3:]).all(axis=0)).any())
 
     def _set(self, number: int, sample_index: int, delta: FloatArray, flags: int) -> None:
         row = number - self.first

@@ -246,8 +246,13 @@ class LooseFilter:
         position_sd: ArrayLike = 0.0,
         velocity_sd: ArrayLike = 0.0,
         attitude_sd: ArrayLike = 0.0,
+        moved: float = 0.0,
     ) -> None:
-        """Add uncertainty, as after a gap or while the IMU clipped (arguments: [m, m/s, rad])."""
+        """Add uncertainty, as after a gap or while the IMU clipped (arguments: [m, m/s, rad]).
+
+        ``moved`` is the covariance of position and velocity, each axis on itself [m^2/s]: what
+        made the velocity uncertain has moved the station meanwhile.
+        """
         self._complete()
         for name, part, sd in (
             ("position", POS, position_sd),
@@ -255,6 +260,9 @@ class LooseFilter:
             ("attitude", ATT, attitude_sd),
         ):
             self._P[part, part] += covariance(name, sd)
+        if moved:
+            self._P[POS, VEL] += moved * np.eye(3)
+            self._P[VEL, POS] += moved * np.eye(3)
         self._has_moved()
 
     def replace_nav(self, nav: NavState) -> None:

@@ -31,6 +31,15 @@ TRUSTED_S = 10.0
 SETTLED_S = 0.4
 """The aided loop begins with the conventional gains, until it has been locked so long [s]."""
 SLIP_MEAN_S = 0.02
+SLIP_CYCLES = 0.18
+"""Beyond that error it may be that of the next half cycle: the discriminator ends at 0.25."""
+FADED = 0.05
+"""Of the mean power: an integration with less has seen no signal, its error is noise."""
+SEEN = 60.0
+"""Mean power from which on noise alone does not make that of a signal that is there [-]."""
+SLIP_JUMP_CYCLES = 0.15
+"""Nor can it come in one step: 2 g at 2 Hz moves the error of 15 Hz by 0.035 in 20 ms, and noise
+at 30 dB-Hz has a sigma of 0.035. A slipping loop passes half a cycle in some steps."""
 FAR_HZ = 12.0
 """Residual Doppler that a loop of 20 ms does not pull in."""
 CARRIER_TO_CODE = CA_RATE_CPS / L1_HZ
@@ -131,8 +140,12 @@ def _after_integration(
         filter_carrier(state, error, gains[0], gains[1], gains[2], period)
         state.code_slope = config.dll_gain * code_error
         # A mean over 20 ms: shorter integrations are noisier than the limit.
-        state.mean_error += min(1.0, period / SLIP_MEAN_S) * (error - state.mean_error)
-        if abs(state.mean_error) > 0.2 and state.phase_lock == 1:
+        before = state.mean_error
+        state.mean_error += min(1.0, period / SLIP_MEAN_S) * (error - before)
+        far = abs(state.mean_error) > SLIP_CYCLES
+        jumped = abs(state.mean_error - before) > SLIP_JUMP_CYCLES
+        faded = i * i + q * q - 2.0 < FADED * state.lock_den and state.lock_den > SEEN
+        if (far or jumped or faded) and state.phase_lock == 1:
             state.pending_flags |= SLIP
     elif state.weak > 0:
         state.phase_lock = 0  # the phase turns: what looks like lock is none

@@ -26,7 +26,7 @@ from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.ros.realtime import RealtimeReport
 from deepseis_core.ros.steady import every
 from deepseis_core.sample_clock import SampleClock
-from deepseis_core.types import Ephemeris, MotionState, Station, TrackingEpochs
+from deepseis_core.types import Ephemeris, MotionState, PvtStatus, Station, TrackingEpochs
 from deepseis_core.types import Observations as ObservationsValue
 from deepseis_core.types import Pvt as PvtValue
 from deepseis_msgs.msg import Observations, PrecisePosition, Pvt, Watermark
@@ -113,6 +113,7 @@ class PvtNode(Node):
         self.positions = self.ephemerides = self.precise_positions = self.epochs = 0
         self.second = -1
         self.deadline, self.arrivals = EpochDeadline(1e-3 * config.pvt_deadline_ms), Arrivals()
+        self.is_placed = False
         publish_on = self.flow.publish_on
         self.observations = publish_on("gnss/observations", Observations, qos.STREAM)
         self.pvt = publish_on("gnss/pvt", Pvt, qos.STREAM)
@@ -275,6 +276,7 @@ class PvtNode(Node):
         self.observations.publish(codecs.OBSERVATIONS.encode(observations, utc_ns))
         if pvt is not None:
             self.positions += 1
+            self.is_placed = pvt.status != PvtStatus.NONE
             self.pvt.publish(codecs.PVT.encode(pvt, utc_ns))
             self.fix.publish(encode_message(fix_from_pvt(pvt, utc_ns)))
         for topic, value in self.precise.solve(observations, self.engine.missed):
@@ -296,7 +298,10 @@ class PvtNode(Node):
         counts = self.engine.statistics
         counts |= self.precise.statistics
         text = f"{counts['positions']} positions" if self.engine.clock else "no fix yet"
-        level = diagnostics.OK if self.engine.clock and not counts["forced"] else diagnostics.WARN
+        if self.engine.clock and not self.is_placed:
+            text = f"no position now, {text} so far"
+        is_well = self.is_placed and not counts["forced"]
+        level = diagnostics.OK if is_well else diagnostics.WARN
         if self.precise.base_trouble:
             level, text = diagnostics.WARN, f"{text}; {self.precise.base_trouble}"
         if self.products is not None and self.products.lost:
