@@ -37,6 +37,9 @@ from deepseis_bringup.run_motion import (
 )
 
 COLOURS: Final = {name: PALETTE[k] for k, name in enumerate((FUSED, GNSS, RTK, SMOOTHED, AIDED))}
+BRIEF: Final = {
+    FUSED: "fused", SMOOTHED: "smoothed", AIDED: "aided", GNSS: "GNSS", RTK: "GNSS, base"
+}  # fmt: skip
 AXES: Final = ("east", "north", "up")
 PEAKS: Final = (("PGD", "m"), ("PGV", "m/s"), ("PGA", "m/s²"))
 
@@ -144,7 +147,7 @@ def _growth(measures: Measures, found: list[Event]) -> Figure | None:
     layout["xaxis"] = time_axis(measures.run.duration, max(first, 0.0), anchor="y3")
     marked = merged(layout, _onsets(found))
     caption = "Peaks of displacement, velocity and acceleration vectors so far, as reported."
-    return Figure("Peaks as they grew", caption, [Panel(data, marked, 330)], half=True)
+    return Figure("Peaks as they grew", caption, [Panel(data, marked, 330)])
 
 
 def _errors(measures: Measures, moved: Mapping[str, Moved], found: list[Event]) -> Figure | None:
@@ -162,8 +165,9 @@ def _errors(measures: Measures, moved: Mapping[str, Moved], found: list[Event]) 
             rms = float(np.sqrt(np.nanmean(shown[:, k] ** 2)))
             sizes.append(5.0 * rms)
             band = np.interp(t, moved[name].t, sd[:, k])
-            label = f"{name.split(',')[0]} {letter}"
-            rows.append(Row(label, COLOURS[name], t, y, f"{rms:.2f} mm", sd=band))
+            rows.append(
+                Row(f"{BRIEF[name]} {letter}", COLOURS[name], t, y, f"{rms:.2f} mm", sd=band)
+            )
     span = nice_span([float(np.median(sizes))], 1.0)
     panel = rows_panel(rows, end, span, "mm", start=start)
     layout = merged(panel.layout, _onsets(found), {"margin": {"r": 96, "t": 22, "l": 150}})

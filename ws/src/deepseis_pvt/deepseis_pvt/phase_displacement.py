@@ -26,6 +26,7 @@ from deepseis_core.config import check, setting
 from deepseis_core.constants import L1_WAVELENGTH
 from deepseis_core.types import FloatArray, IntArray
 from deepseis_pvt import phase_kernels as kernels
+from deepseis_pvt.creep_level import CreepLevel
 from deepseis_pvt.still_reference import StillReference
 
 SLOTS: Final = 32
@@ -158,6 +159,8 @@ class PhaseDisplacement:
     ----------
     noise_level : float
         Variance of the phases as residuals show it, over that of the model [-], at least 1.
+    creep : CreepLevel
+        How biases creep against what the settings allow.
     calibrated : float
         Stillness so far [s].
     stress : ndarray, shape (3, 3)
@@ -175,6 +178,7 @@ class PhaseDisplacement:
         self.P: FloatArray = np.zeros((2 * SLOTS, 2 * SLOTS))
         self.reference = reference or StillReference()
         self.noise_level, self.calibrated, self.at_rest = 1.0, 0.0, False
+        self.creep = CreepLevel(c.bias_walk**2, c.bias_rate_sd**2, c.bias_rate_memory_s, SLOTS)
         self._growth: FloatArray = np.zeros(SLOTS)
         self._seen: FloatArray = np.full(SLOTS, -np.inf)
         self._broken: NDArray[np.bool_] = np.zeros(SLOTS, np.bool_)
@@ -192,6 +196,7 @@ class PhaseDisplacement:
     def shift(self, slot: int, change: float) -> None:
         """Take account of a changed model: a satellite's residuals have moved by so much [m]."""
         self.state[slot] += change
+        self.creep.breaks(np.array([slot]))
 
     def solve(self, epoch: PhaseEpoch, still: bool) -> PhaseSolution | None:
         """Work an epoch through; None if it has no solution.
@@ -203,7 +208,8 @@ class PhaseDisplacement:
             The antenna does not move, as far as others than the phases know.
         """
         dt = self._drift(epoch)
-        noise = self.noise_level * self.config.variance(epoch.cn0_dbhz, epoch.elevation)
+        model = self.config.variance(epoch.cn0_dbhz, epoch.elevation)
+        noise = self.noise_level * model
         gap = epoch.time - self._seen[epoch.slot]
         self._broken[epoch.slot] |= epoch.slipped | (epoch.lock_time < gap - 0.5 * epoch.interval)
         known = np.isfinite(gap) & ~self._broken[epoch.slot]
@@ -214,6 +220,7 @@ class PhaseDisplacement:
             solution = self._solution(epoch, free, refused, noise)
         self.at_rest = self._is_at_reference(epoch.time, still, solution)
         self._calibrate(epoch, innovation, noise, known & ~refused, free, self.at_rest)
+        self._watch_creep(epoch, model, ~(known & ~refused))
         self.calibrated += dt if self.at_rest and self.members.size >= CLOCK + 1 else 0.0
         return solution
 
@@ -234,12 +241,32 @@ class PhaseDisplacement:
         self._growth[epoch.slot] = growth
         if dt > 0.0:
             kernels.propagate(
-                self.state, self.P, self.members, c.bias_walk**2,
-                c.bias_rate_sd**2 * self._growth, c.bias_rate_memory_s, dt,
+                self.state, self.P, self.members, self.creep.walk_level * c.bias_walk**2,
+                self.creep.rate_level * c.bias_rate_sd**2 * self._growth, c.bias_rate_memory_s,
+                dt,
             )  # fmt: skip
         for slot in self.members[epoch.time - self._seen[self.members] > LONGEST_GAP]:
             self._forget(int(slot))
         return dt
+
+    def _watch_creep(self, epoch: PhaseEpoch, noise: FloatArray, anew: NDArray[np.bool_]) -> None:
+        """Let phases at rest tell how biases creep.
+
+        Their noise is the model's: a level that residuals raise may be creep itself.
+        """
+        if anew.any():
+            self.creep.breaks(epoch.slot[anew])
+        if not self.at_rest:
+            self.creep.moved()
+            return
+        place = epoch.design[:, :CLOCK] @ self.reference.position
+        shared = self._shared(epoch)
+        growth = self._growth[epoch.slot]
+        self.creep.push(epoch.time, epoch.slot, epoch.residual - place, noise, growth, shared)
+
+    def _shared(self, epoch: PhaseEpoch) -> float:
+        """Return how many epochs share the noise of a loop slower than they come."""
+        return max(1.0, 0.5 / (epoch.interval * self.config.loop_bandwidth_hz))
 
     def _fit(
         self, epoch: PhaseEpoch, y: FloatArray, noise: FloatArray, good: NDArray[np.bool_],
@@ -300,7 +327,8 @@ class PhaseDisplacement:
         covariance[:3, :3] += self.reference.covariance + self.stress
         residual = np.full(len(refused), np.nan)
         residual[found.rows] = found.residual
-        drift = self.config.bias_walk**2 * float((found.G[CLOCK] ** 2).sum())
+        walk = self.creep.walk_level * self.config.bias_walk**2
+        drift = walk * float((found.G[CLOCK] ** 2).sum())
         return PhaseSolution(
             displacement=found.x[:3].copy(),
             clock=float(found.x[CLOCK]),
@@ -347,8 +375,7 @@ class PhaseDisplacement:
             return
         rows = found.rows
         fresh = np.flatnonzero(~good)
-        # Epochs share the noise of a loop slower than they come: so many count as one.
-        slow = noise * max(1.0, 0.5 / (epoch.interval * self.config.loop_bandwidth_hz))
+        slow = noise * self._shared(epoch)
         started = self._start(epoch, found, fresh, design, offset, slow)
         if len(rows) > len(found.x):
             kernels.absorb(
