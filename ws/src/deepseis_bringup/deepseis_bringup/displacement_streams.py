@@ -221,5 +221,11 @@ def shake(scene: Scene, loops: Sequence[Loop], say: Callable[[str], None]) -> Sh
 
 
 def truth_of(scene: Scene) -> Truth:
-    """Return the antenna's true displacement as a function of time."""
-    return CubicSpline(*true_position(scene))
+    """Return the antenna's true displacement as a function of GPS time since the start.
+
+    The truth file's times are the receiver's, whose clock was set wrong; streams have GPS times.
+    """
+    t, moved = true_position(scene)
+    with np.load(scene.truth_file) as truth:
+        ahead = np.interp(t, truth["t_s"], truth["clock_bias"])
+    return CubicSpline(t - ahead, moved)
