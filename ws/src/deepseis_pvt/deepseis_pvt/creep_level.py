@@ -61,16 +61,16 @@ class CreepLevel:
     def __init__(self, walk: float, rate: float, memory: float, slots: int) -> None:
         self.walk, self.rate, self.memory, self.slots = walk, rate, memory, slots
         self.walk_level = self.rate_level = 1.0
-        self._sums = np.zeros((2, 2))
+        self._sums: FloatArray = np.zeros((2, 2))
         self._seconds: deque[_Second] = deque(maxlen=LONG + 1)
-        self._arc = np.zeros(slots, np.int64)
-        self._growth = np.ones(slots)
+        self._arc: IntArray = np.zeros(slots, np.int64)
+        self._growth: FloatArray = np.ones(slots)
         self._begin(-1)
 
     def _begin(self, number: int) -> None:
         self._number, self._epochs = number, 0
         self._sum, self._noise = np.zeros(self.slots), np.zeros(self.slots)
-        self._count = np.zeros(self.slots, np.int64)
+        self._count: IntArray = np.zeros(self.slots, np.int64)
 
     def breaks(self, slots: IntArray) -> None:
         """Take account of biases that begin anew."""
