@@ -22,7 +22,7 @@ def clock():
     return Clock()
 
 
-def waits(clock, spoken):
+def waits(clock, spoken, newest=10**12):
     """Run 3 s in ticks of 10 ms; return how long after its samples each epoch was forced [s].
 
     ``spoken(tick)`` names the late satellites that speak at a tick.
@@ -35,7 +35,7 @@ def waits(clock, spoken):
         for satellite in spoken(tick):
             deadline.heard(satellite)
         deadline.look()
-        while deadline.is_overdue(epoch * STEP, ["G05", "motion"]):
+        while deadline.is_overdue(epoch * STEP, ["G05", "motion"], newest):
             found.append(clock.now - (start + 0.02 * epoch))
             epoch += 1
     return found
@@ -58,3 +58,8 @@ def test_satellites_whose_integrations_keep_coming_are_waited_for_four_times_as_
     assert len(found) >= 109
     assert min(found) > 0.8 - 1e-9
     assert max(found) < 0.8 + 0.01 + 1e-9
+
+
+def test_where_all_trackers_lag_late_positions_are_better_than_none(clock):
+    assert waits(clock, lambda tick: ("G05",) if tick % 2 else (), newest=-1) == []
+    assert len(waits(clock, lambda _tick: (), newest=-1)) >= 139, "but not once they are silent"

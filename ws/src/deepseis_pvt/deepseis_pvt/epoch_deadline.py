@@ -16,7 +16,8 @@ class EpochDeadline:
     """Counts from the arrival of the samples, and knows who has spoken lately.
 
     Where integrations of the late satellites keep coming, it is rather this process that has not
-    read them yet, or a tracker that catches up: then the epoch waits `PATIENCE` times as long.
+    read them yet, or a tracker that catches up: then the epoch waits `PATIENCE` times as long, and
+    as long as it takes where nobody is ahead: late positions are better than none.
 
     Parameters
     ----------
@@ -46,8 +47,13 @@ class EpochDeadline:
         self._silent.look()
         self._coming.look()
 
-    def is_overdue(self, sample: int, late: Iterable[str]) -> bool:
-        """Tell whether the epoch at a sample is not to wait longer for ``late`` inputs."""
+    def is_overdue(self, sample: int, late: Iterable[str], newest: int) -> bool:
+        """Tell whether the epoch at a sample is not to wait longer for ``late`` inputs.
+
+        ``newest`` is the last sample of any satellite's integrations.
+        """
         recent = self.clock() - 0.5 * self.wait_s
         coming = any(self._heard.get(name, recent) > recent for name in late)
+        if coming and newest < sample:
+            return False
         return sample <= (self._coming if coming else self._silent).overdue_through

@@ -227,10 +227,10 @@ class PvtNode(Node):
         if self.clock is None or self.engine.newest_sample() < 0:
             return
         self.work()
-        sample = self.engine.valid_through + 1
-        while self.deadline.is_overdue(sample, self.engine.late(sample)):
+        engine, sample = self.engine, self.engine.valid_through + 1
+        while self.deadline.is_overdue(sample, engine.late(sample), engine.newest_sample()):
             self.work(sample)
-            sample = self.engine.valid_through + 1
+            sample = engine.valid_through + 1
 
     def work(self, force_through: int | None = None) -> None:
         """Work through all epochs that the watermarks allow and publish, the watermark last."""
