@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deepseis_bringup.mcap_recording import BagWriter
-from deepseis_bringup.ros_definitions import Definitions
+from deepseis_bringup.bags.mcap_recording import BagWriter
+from deepseis_bringup.bags.ros_definitions import Definitions
 from deepseis_core.baseband import Baseband
 from deepseis_core.if_format import IfFormat
 from deepseis_core.types import IfBlock

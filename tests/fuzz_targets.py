@@ -19,15 +19,15 @@ import numpy as np
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
 
-from deepseis_bringup.bag_info import bag_info
+from deepseis_bringup.bags.info import bag_info
+from deepseis_bringup.bags.mcap_file import McapFile
+from deepseis_bringup.bags.mcap_recording import read_messages
+from deepseis_bringup.bags.recovery import recover_bag
+from deepseis_bringup.bags.run_records import recorded_run
 from deepseis_bringup.base import has_base, rinex_position
-from deepseis_bringup.gravimetry_files import read_installation
 from deepseis_bringup.inertial import has_imu
-from deepseis_bringup.mcap_file import McapFile
-from deepseis_bringup.mcap_recording import read_messages
-from deepseis_bringup.recovery import recover_bag
-from deepseis_bringup.run_records import recorded_run
 from deepseis_bringup.station_config import read_station_config
+from deepseis_bringup.survey.gravimetry_files import read_installation
 from deepseis_core.errors import InputError
 from deepseis_core.geodesy import ecef_from_text
 from deepseis_core.if_format import PRESETS, IfFormat
@@ -488,7 +488,7 @@ def chunk_content() -> bytes:
     """Return what is in a chunk: a schema, a channel, messages."""
     from mcap import records
 
-    from deepseis_bringup.mcap_file import _bytes
+    from deepseis_bringup.bags.mcap_file import _bytes
 
     out = _bytes(records.Schema(1, SCHEMA, "ros2msg", IF_TYPE))
     out += _bytes(records.Channel(1, "/if/samples", "cdr", {"a": "b"}, 1))

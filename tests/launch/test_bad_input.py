@@ -76,7 +76,7 @@ def test_replay_refuses(case, place, tmp_path):
 
 
 def test_replay_refuses_a_bag_without_samples(recorded, tmp_path):
-    from deepseis_bringup.mcap_recording import BagWriter
+    from deepseis_bringup.bags.mcap_recording import BagWriter
 
     with BagWriter(tmp_path / "bag") as writer:
         data = recorded.payloads()["/gnss/pvt"][0]

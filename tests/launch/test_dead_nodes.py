@@ -11,9 +11,9 @@ import graph_runs
 import pytest
 from graph_runs import DURATION, PROJECT, RATE, command
 
-from deepseis_bringup.bag_info import bag_info
+from deepseis_bringup.bags.info import bag_info
+from deepseis_bringup.bags.recovery import recover_bag
 from deepseis_bringup.graph import build_graph
-from deepseis_bringup.recovery import recover_bag
 from deepseis_bringup.runs import RunOptions, Selection, graph_config
 from deepseis_bringup.supervisor import NodeFailureError, Supervisor, own_domain
 from deepseis_bringup.watch import GraphWatch

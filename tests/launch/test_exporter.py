@@ -20,7 +20,7 @@ from unit.bringup.test_convert import (
 from unit.bringup.test_datalink import Peer
 
 from deepseis_bringup.executables import executable
-from deepseis_bringup.quiet_obspy import obspy_modules
+from deepseis_bringup.export.quiet_obspy import obspy_modules
 from deepseis_bringup.supervisor import own_domain
 from deepseis_core.imu_message import encode_imu
 from deepseis_core.ros import codecs, qos

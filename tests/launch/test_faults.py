@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from deepseis_bringup.accept_scene import RATE_HZ, Scene, aided
-from deepseis_bringup.fault_measures import complaints
-from deepseis_bringup.fault_record import RunRecord
-from deepseis_bringup.faulty_bag import faulty_bag
+from deepseis_bringup.accept.scene import RATE_HZ, Scene, aided
+from deepseis_bringup.faults.faulty_bag import faulty_bag
+from deepseis_bringup.faults.measures import complaints
+from deepseis_bringup.faults.record import RunRecord
 from deepseis_bringup.graph_payloads import run_graph
 from deepseis_bringup.offline import OfflineChain, encode
 from deepseis_core.ros import codecs
@@ -43,7 +43,7 @@ def scene(tmp_path_factory):
         base, duration=LENGTH, motion=(weak, strong), sky=SkyConfig(satellites=9), base=None
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deepseis_bringup.accept_scene.load_scenario", lambda *_, **__: small)
+        patch.setattr("deepseis_bringup.accept.scene.load_scenario", lambda *_, **__: small)
         return Scene("sine-2hz", tmp_path_factory.mktemp("scene"), short=True)
 
 

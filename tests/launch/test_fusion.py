@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
 
-from deepseis_bringup.accept_scene import RATE_HZ, Scene, aided
+from deepseis_bringup.accept.loop_measures import Tracks, measure, thermal_deg
+from deepseis_bringup.accept.scene import RATE_HZ, Scene, aided
 from deepseis_bringup.base import with_base
 from deepseis_bringup.graph_payloads import run_graph
-from deepseis_bringup.loop_measures import Tracks, measure, thermal_deg
 from deepseis_bringup.offline import OfflineChain, encode
 from deepseis_core.ros import codecs
 from deepseis_core.ros.cdr import message_class
@@ -31,7 +31,7 @@ def scene(tmp_path_factory):
     base = scenarios.load_scenario("sine-2hz", short=True)
     small = replace(base, duration=18.5, motion=(circle,), sky=SkyConfig(satellites=6))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deepseis_bringup.accept_scene.load_scenario", lambda *_, **__: small)
+        patch.setattr("deepseis_bringup.accept.scene.load_scenario", lambda *_, **__: small)
         made = Scene("sine-2hz", tmp_path_factory.mktemp("scene"), short=True)
     made.moving, made.still = (ONSET + 0.6, 17.4), (8.6, ONSET - 0.1)
     return made

@@ -14,11 +14,11 @@ import graph_runs
 import numpy as np
 import pytest
 
-from deepseis_bringup.accept_scene import RATE_HZ, Scene, aided
+from deepseis_bringup.accept.scene import RATE_HZ, Scene, aided
+from deepseis_bringup.bags.recorded_misses import recorded_misses
+from deepseis_bringup.bags.recording_queue import stamp_of_cdr
 from deepseis_bringup.graph import build_graph
 from deepseis_bringup.graph_payloads import run_graph
-from deepseis_bringup.recorded_misses import recorded_misses
-from deepseis_bringup.recording_queue import stamp_of_cdr
 from deepseis_bringup.supervisor import Supervisor, own_domain, running
 from deepseis_bringup.watch import GraphWatch
 from deepseis_core.ros import codecs
@@ -46,7 +46,7 @@ def scene(tmp_path_factory):
     sky = SkyConfig(satellites=9)
     small = replace(base, duration=LENGTH, motion=(circle,), sky=sky, base=None)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deepseis_bringup.accept_scene.load_scenario", lambda *_, **__: small)
+        patch.setattr("deepseis_bringup.accept.scene.load_scenario", lambda *_, **__: small)
         return Scene("sine-2hz", tmp_path_factory.mktemp("scene"), short=True)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from graph_runs import RATE, assistance, decode
 
+from deepseis_bringup.bags.mcap_recording import BagWriter
 from deepseis_bringup.graph import GraphConfig
-from deepseis_bringup.mcap_recording import BagWriter
 from deepseis_bringup.offline import OfflineChain, encode
 from deepseis_bringup.runs import Selection
 from deepseis_core.ros.codecs import IF_BLOCK

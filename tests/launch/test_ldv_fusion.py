@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepseis_bringup.accept_scene import RATE_HZ, Loop, Scene
+from deepseis_bringup.accept.scene import RATE_HZ, Loop, Scene
 from deepseis_bringup.graph_payloads import run_graph
 from deepseis_bringup.offline import OfflineChain, encode
 from deepseis_core.ros import codecs
@@ -30,7 +30,7 @@ def scene(tmp_path_factory):
     sky = SkyConfig(satellites=6, obstructions=(Obstruction(from_s=LOST, to_s=LAST),))
     small = replace(base, sky=sky)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deepseis_bringup.accept_scene.load_scenario", lambda *_, **__: small)
+        patch.setattr("deepseis_bringup.accept.scene.load_scenario", lambda *_, **__: small)
         return Scene("gravity-lines", tmp_path_factory.mktemp("scene"), short=True)
 
 

@@ -9,12 +9,12 @@ from base_caster import caster
 from graph_runs import RATE
 
 from deepseis_bringup.base import with_base
+from deepseis_bringup.export.rtcm_msm import msm7
+from deepseis_bringup.export.rtcm_station import reference_point
 from deepseis_bringup.graph import GraphConfig
 from deepseis_bringup.inertial import assistance
 from deepseis_bringup.offline import OfflineChain
-from deepseis_bringup.rtcm_msm import msm7
-from deepseis_bringup.rtcm_station import reference_point
-from deepseis_bringup.simulate import simulate
+from deepseis_bringup.simulation.simulate import simulate
 from deepseis_core.ros import codecs
 from deepseis_core.types import PreciseStatus
 from deepseis_frontend.base_events import BaseReference

@@ -12,9 +12,9 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from unit.pvt.rtklib_reference import epochs
 
-from deepseis_bringup.bag_info import bag_info
+from deepseis_bringup.bags.info import bag_info
+from deepseis_bringup.bags.run_records import input_hash, recorded_run, run_records
 from deepseis_bringup.graph import GraphConfig, build_graph
-from deepseis_bringup.run_records import input_hash, recorded_run, run_records
 from deepseis_core.geodesy import geodetic_from_ecef
 from deepseis_core.interface import INTERFACE_VERSION
 

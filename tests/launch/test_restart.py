@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from deepseis_bringup.accept_scene import RATE_HZ, Scene, aided
+from deepseis_bringup.accept.scene import RATE_HZ, Scene, aided
 from deepseis_bringup.graph import build_graph
 from deepseis_bringup.restarts import Restarts
 from deepseis_bringup.supervisor import Supervisor, own_domain, running
@@ -38,7 +38,7 @@ def scene(tmp_path_factory):
         base, duration=LENGTH, motion=(circle,), sky=SkyConfig(satellites=9), base=None
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deepseis_bringup.accept_scene.load_scenario", lambda *_, **__: small)
+        patch.setattr("deepseis_bringup.accept.scene.load_scenario", lambda *_, **__: small)
         return Scene("sine-2hz", tmp_path_factory.mktemp("scene"), short=True)
 
 

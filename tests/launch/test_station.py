@@ -12,7 +12,7 @@ from domain_coordinator import domain_id
 from graph_runs import PROJECT, command
 from sockets import family, internet_addresses
 
-from deepseis_bringup.bag_info import bag_info
+from deepseis_bringup.bags.info import bag_info
 
 pytestmark = [pytest.mark.launch, pytest.mark.timeout(120)]
 

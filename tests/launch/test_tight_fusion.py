@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepseis_bringup.accept_scene import RATE_HZ, Loop, Scene, aided
+from deepseis_bringup.accept.loop_measures import Tracks, measure, thermal_deg
+from deepseis_bringup.accept.scene import RATE_HZ, Loop, Scene, aided
 from deepseis_bringup.graph_payloads import run_graph
-from deepseis_bringup.loop_measures import Tracks, measure, thermal_deg
 from deepseis_bringup.offline import OfflineChain, encode
 from deepseis_core.ros import codecs
 from deepseis_core.types import InsFilter
@@ -33,7 +33,7 @@ def scene(tmp_path_factory):
     base = scenarios.load_scenario("sine-2hz", short=True)
     small = replace(base, duration=15.5, motion=(circle,), sky=SkyConfig(satellites=5))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deepseis_bringup.accept_scene.load_scenario", lambda *_, **__: small)
+        patch.setattr("deepseis_bringup.accept.scene.load_scenario", lambda *_, **__: small)
         made = Scene("sine-2hz", tmp_path_factory.mktemp("scene"), short=True)
     made.moving, made.still = (ONSET + 0.6, 14.6), (8.6, ONSET - 0.1)
     return made

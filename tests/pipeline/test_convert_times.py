@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepseis_bringup import convert
-from deepseis_bringup.accept_scene import Scene, aided
+from deepseis_bringup.accept.scene import Scene, aided
+from deepseis_bringup.bags.mcap_recording import BagWriter
+from deepseis_bringup.bags.ros_definitions import TopicQos
+from deepseis_bringup.export import convert
+from deepseis_bringup.export.quiet_obspy import obspy_modules
 from deepseis_bringup.graph import topic_type
-from deepseis_bringup.mcap_recording import BagWriter
 from deepseis_bringup.offline import OfflineChain, encode
-from deepseis_bringup.quiet_obspy import obspy_modules
-from deepseis_bringup.ros_definitions import TopicQos
 from deepseis_core.geodesy import geodetic_from_ecef, rotation_enu_ecef
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.mcap_scan import McapScan
@@ -34,7 +34,7 @@ def scene(tmp_path_factory):
     base = scenarios.load_scenario("sine-2hz", short=True)
     small = replace(base, duration=18.5, motion=(circle,), sky=SkyConfig(satellites=6), base=None)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deepseis_bringup.accept_scene.load_scenario", lambda *_, **__: small)
+        patch.setattr("deepseis_bringup.accept.scene.load_scenario", lambda *_, **__: small)
         return Scene("sine-2hz", tmp_path_factory.mktemp("scene"), short=True)
 
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from deepseis_bringup import accept_gravimetry_real as real
+from deepseis_bringup.accept import gravimetry_real as real
+from deepseis_bringup.accept.kingston import read_kingston
 from deepseis_bringup.cli import app
-from deepseis_bringup.gravimetry import LDV, Drive, GravimetryConfig, work_out
-from deepseis_bringup.gravimetry_files import read_installation, write_installation
-from deepseis_bringup.kingston import read_kingston
-from deepseis_bringup.simulate import simulate
-from deepseis_bringup.survey_data import data_of_bench
+from deepseis_bringup.simulation.simulate import simulate
+from deepseis_bringup.survey.gravimetry import LDV, Drive, GravimetryConfig, work_out
+from deepseis_bringup.survey.gravimetry_files import read_installation, write_installation
+from deepseis_bringup.survey.survey_data import data_of_bench
 from deepseis_core.errors import InputError
 from deepseis_core.imu_grades import MGAL
 from deepseis_core.rotation import euler_from_matrix

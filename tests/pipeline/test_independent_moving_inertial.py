@@ -7,10 +7,10 @@ chain gets samples, IMU, survey, orbits and coarse time.
 import numpy as np
 import pytest
 
-from deepseis_bringup.accept_independent import IndependentScene, displacement
-from deepseis_bringup.accept_scene import aided
-from deepseis_bringup.loop_measures import pooled
-from deepseis_bringup.outside_recording import CarriedImu
+from deepseis_bringup.accept.independent import IndependentScene, displacement
+from deepseis_bringup.accept.loop_measures import pooled
+from deepseis_bringup.accept.outside_recording import CarriedImu
+from deepseis_bringup.accept.scene import aided
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from unit.pvt.rtklib_reference import epochs as rtklib_epochs
 
 from deepseis_bringup.graph import GraphConfig
 from deepseis_bringup.offline import OfflineChain
-from deepseis_bringup.simulate import simulate
+from deepseis_bringup.simulation.simulate import simulate
 from deepseis_core.geodesy import enu_from_ecef
 from deepseis_pvt.rinex_obs import RinexObsWriter
 from deepseis_sim.scenario import load_scenario

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepseis_bringup.accept_scene import RATE_HZ, Scene, aided
-from deepseis_bringup.loop_measures import thermal_deg
+from deepseis_bringup.accept.loop_measures import thermal_deg
+from deepseis_bringup.accept.scene import RATE_HZ, Scene, aided
 from deepseis_core.types import PvtStatus
 from deepseis_sim import scenario as scenarios
 from deepseis_sim.motions import Circle
@@ -28,7 +28,7 @@ def scene(tmp_path_factory):
     sky = SkyConfig(satellites=7, obstructions=hidden)
     small = replace(base, duration=LAST, motion=(circle,), sky=sky)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deepseis_bringup.accept_scene.load_scenario", lambda *_, **__: small)
+        patch.setattr("deepseis_bringup.accept.scene.load_scenario", lambda *_, **__: small)
         made = Scene("sine-2hz", tmp_path_factory.mktemp("scene"), short=True)
     made.moving, made.still = (BLOCKED[0] + 1.0, BLOCKED[2] - 0.5), (8.6, ONSET - 0.1)
     return made

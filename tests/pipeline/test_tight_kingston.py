@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from deepseis_bringup.accept_tight_flight import MASK_DEG, RAW_ALL, fly, rms, without
-from deepseis_bringup.accept_tight_real import kingston
-from deepseis_bringup.accept_tight_rtklib import rtklib_positions
+from deepseis_bringup.accept.tight_flight import MASK_DEG, RAW_ALL, fly, rms, without
+from deepseis_bringup.accept.tight_real import kingston
+from deepseis_bringup.accept.tight_rtklib import rtklib_positions
 
 pytestmark = pytest.mark.slow
 

@@ -4,8 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepseis_bringup.accept import COLUMNS, Acceptance, Goal, Row
-from deepseis_bringup.loop_measures import (
+from deepseis_bringup.accept.loop_measures import (
     CarrierTruth,
     Tracks,
     measure,
@@ -13,7 +12,8 @@ from deepseis_bringup.loop_measures import (
     pooled,
     thermal_deg,
 )
-from deepseis_bringup.report_plot import Figure, Panel
+from deepseis_bringup.accept.tables import COLUMNS, Acceptance, Goal, Row
+from deepseis_bringup.report.plot import Figure, Panel
 from deepseis_core.types import TrackingEpochs, TrackingFlag, TrackingMode
 
 RATE = 4e6

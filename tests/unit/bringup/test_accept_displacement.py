@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deepseis_bringup.displacement_streams import Stream, compare
+from deepseis_bringup.accept.displacement_streams import Stream, compare
 from deepseis_core.types import FloatArray
 
 STILL, MOVING = (0.0, 5.0), (6.0, 26.0)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from deepseis_bringup import accept_gyrofree as accept
-from deepseis_bringup.accept_gyrofree_runs import Stations
+from deepseis_bringup.accept import gyrofree as accept
+from deepseis_bringup.accept.gyrofree_runs import Stations
 from deepseis_sim.scenario import load_scenario
 
 SCENARIO = """\

@@ -3,19 +3,20 @@
 import numpy as np
 import pytest
 
-from deepseis_bringup import accept_jamming, accept_static
-from deepseis_bringup.accept import Acceptance, Goal
-from deepseis_bringup.accept_bandwidth import (
+from deepseis_bringup.accept import jamming as accept_jamming
+from deepseis_bringup.accept import static as accept_static
+from deepseis_bringup.accept.bandwidth import (
     arctangent_slope,
     best_bandwidths,
     jamming_formula,
     simulated,
 )
-from deepseis_bringup.accept_jammed_loops import first_beyond
-from deepseis_bringup.accept_jamming import code_overlap_db
-from deepseis_bringup.accept_scene import Work
-from deepseis_bringup.accept_tracking import GROUPS
-from deepseis_bringup.outside_recording import Carried, CarriedImu
+from deepseis_bringup.accept.jammed_loops import first_beyond
+from deepseis_bringup.accept.jamming import code_overlap_db
+from deepseis_bringup.accept.outside_recording import Carried, CarriedImu
+from deepseis_bringup.accept.scene import Work
+from deepseis_bringup.accept.tables import Acceptance, Goal
+from deepseis_bringup.accept.tracking import GROUPS
 from deepseis_core.ca_code import ca_code
 from deepseis_core.geodesy import ecef_from_geodetic
 from deepseis_ins.truth_motion import Trajectory

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from deepseis_bringup import accept_tight_roads as roads
-from deepseis_bringup.accept import Acceptance
-from deepseis_bringup.accept_tight_drive import Imu, simulated
-from deepseis_bringup.accept_tight_flight import HATCH_ALL, MASK_DEG, cut, fly, without
-from deepseis_bringup.accept_tight_orbit import ephemeris_of
-from deepseis_bringup.accept_tight_rtklib import rtklib_positions
+from deepseis_bringup.accept import tight_roads as roads
+from deepseis_bringup.accept.tables import Acceptance
+from deepseis_bringup.accept.tight_drive import Imu, simulated
+from deepseis_bringup.accept.tight_flight import HATCH_ALL, MASK_DEG, cut, fly, without
+from deepseis_bringup.accept.tight_orbit import ephemeris_of
+from deepseis_bringup.accept.tight_rtklib import rtklib_positions
 from deepseis_core.constants import NS_PER_S
 from deepseis_core.ephemeris import pack, satellite_states
 from deepseis_core.errors import InputError

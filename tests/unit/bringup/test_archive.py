@@ -13,14 +13,14 @@ import time
 import pytest
 from rosbags.highlevel import AnyReader
 
-from deepseis_bringup import mcap_file
-from deepseis_bringup.archive import Archive, ArchiveConfig
-from deepseis_bringup.archive_report import ERROR, OK, WARN, disk_report
-from deepseis_bringup.bag_info import bag_info
-from deepseis_bringup.mcap_recording import BagWriter, read_messages
-from deepseis_bringup.recording_queue import about_whom, event_span
-from deepseis_bringup.recovery import recover_bag
-from deepseis_bringup.ros_definitions import Definitions
+from deepseis_bringup.bags import mcap_file
+from deepseis_bringup.bags.archive import Archive, ArchiveConfig
+from deepseis_bringup.bags.archive_report import ERROR, OK, WARN, disk_report
+from deepseis_bringup.bags.info import bag_info
+from deepseis_bringup.bags.mcap_recording import BagWriter, read_messages
+from deepseis_bringup.bags.recording_queue import about_whom, event_span
+from deepseis_bringup.bags.recovery import recover_bag
+from deepseis_bringup.bags.ros_definitions import Definitions
 from deepseis_bringup.runs import half_written_is_removed
 from deepseis_core.errors import DiskError, InputError
 from deepseis_core.mcap_scan import McapScan
@@ -431,8 +431,8 @@ def test_a_real_full_disk(tmp_path, monkeypatch):
 
 RECORDER = """
     import sys, time
-    from deepseis_bringup.archive import Archive, ArchiveConfig
-    from deepseis_bringup.ros_definitions import Definitions
+    from deepseis_bringup.bags.archive import Archive, ArchiveConfig
+    from deepseis_bringup.bags.ros_definitions import Definitions
     config = ArchiveConfig(split_s=0.15, keep_h=0.5 / 3600, pre_event_s=0)
     definitions = Definitions({"a/msg/A": "uint8[] data\\n"})
     bag = Archive(sys.argv[1], config=config, definitions=definitions, patient=True)

@@ -4,9 +4,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from deepseis_bringup.bag_info import BagInfo, TopicInfo
-from deepseis_bringup.bag_text import recovery_lines, show_info, size_text
-from deepseis_bringup.recovery import Loss, Recovery
+from deepseis_bringup.bags.info import BagInfo, TopicInfo
+from deepseis_bringup.bags.recovery import Loss, Recovery
+from deepseis_bringup.bags.text import recovery_lines, show_info, size_text
 from deepseis_frontend.if_stream import Remark
 
 START = 1_640_995_200_000_000_000  # 2022-01-01

@@ -7,7 +7,7 @@ import pytest
 
 from deepseis_bringup.base import base_position, has_base, rinex_position, with_base
 from deepseis_bringup.graph import GraphConfig, build_graph
-from deepseis_bringup.simulate import simulate
+from deepseis_bringup.simulation.simulate import simulate
 from deepseis_core.errors import InputError
 from deepseis_frontend.nodes.base_bag import BaseBag
 from deepseis_sim.scenario import load_scenario

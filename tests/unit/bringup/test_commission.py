@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from fusion_bench import FusionBench, precise_positions
 
-from deepseis_bringup import commission_checks as checks
-from deepseis_bringup.commission import page, verdict
-from deepseis_bringup.commission_checks import FAIL, OPEN, PASS, all_checks, allan
-from deepseis_bringup.commission_data import StationData
+from deepseis_bringup.commission import checks
+from deepseis_bringup.commission.checks import FAIL, OPEN, PASS, all_checks, allan
+from deepseis_bringup.commission.commissioning import page, verdict
+from deepseis_bringup.commission.data import StationData
 from deepseis_core.rotation import matrix_from_rotvec
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import PreciseStatus

@@ -11,12 +11,12 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 from unit.pvt.rtklib_reference import exact_time
 
-from deepseis_bringup import convert
+from deepseis_bringup.bags.mcap_recording import BagWriter
+from deepseis_bringup.bags.ros_definitions import TopicQos
 from deepseis_bringup.cli import app
+from deepseis_bringup.export import convert
+from deepseis_bringup.export.quiet_obspy import obspy_modules
 from deepseis_bringup.graph import TYPES
-from deepseis_bringup.mcap_recording import BagWriter
-from deepseis_bringup.quiet_obspy import obspy_modules
-from deepseis_bringup.ros_definitions import TopicQos
 from deepseis_core.constants import L1_WAVELENGTH, SPEED_OF_LIGHT
 from deepseis_core.errors import InputError
 from deepseis_core.gps_time import GpsTime

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from unit.bringup.test_miniseed import PLACE, START, channel, quake
 
-from deepseis_bringup.datalink import LIMIT, DataLink, address_of, stream_of
-from deepseis_bringup.miniseed import day_records, record_span, sample_times
-from deepseis_bringup.quiet_obspy import obspy_modules
-from deepseis_bringup.sample_runs import Run
+from deepseis_bringup.export.datalink import LIMIT, DataLink, address_of, stream_of
+from deepseis_bringup.export.miniseed import day_records, record_span, sample_times
+from deepseis_bringup.export.quiet_obspy import obspy_modules
+from deepseis_bringup.export.sample_runs import Run
 from deepseis_core.errors import InputError
 
 NAME = Path("2022/XX/DSEI/HXE.D/XX.DSEI.30.HXE.D.2022.001")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from deepseis_bringup.decimation import Decimator, design_stages
-from deepseis_bringup.miniseed import sample_times
-from deepseis_bringup.sample_runs import Run
+from deepseis_bringup.export.decimation import Decimator, design_stages
+from deepseis_bringup.export.miniseed import sample_times
+from deepseis_bringup.export.sample_runs import Run
 from deepseis_core.errors import InputError
 from deepseis_core.gps_time import GpsTime
 

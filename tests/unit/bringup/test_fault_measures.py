@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deepseis_bringup.fault_measures import complaints, deviation, loss_of, wrong_cycles
-from deepseis_bringup.fault_record import LOCK, RunRecord, Said
-from deepseis_bringup.loop_measures import CarrierTruth
+from deepseis_bringup.accept.loop_measures import CarrierTruth
+from deepseis_bringup.faults.measures import complaints, deviation, loss_of, wrong_cycles
+from deepseis_bringup.faults.record import LOCK, RunRecord, Said
 from deepseis_core.types import FloatArray, Lli, Observations
 
 RATE = 4e6

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from unit.bringup.test_convert import MONUMENT, START, displacement
 
-from deepseis_bringup.gdrt import GdrtPosition, GdrtSender, message
+from deepseis_bringup.export.gdrt import GdrtPosition, GdrtSender, message
 from deepseis_core.errors import InputError
 from deepseis_core.geodesy import ecef_from_enu
 from deepseis_core.gps_time import GpsTime

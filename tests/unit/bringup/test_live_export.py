@@ -21,9 +21,9 @@ from unit.bringup.test_convert import (
     station,
 )
 
-from deepseis_bringup.live_export import LiveConfig, LiveExport
-from deepseis_bringup.quiet_obspy import obspy_modules
-from deepseis_bringup.sds import SdsArchive
+from deepseis_bringup.export.live_export import LiveConfig, LiveExport
+from deepseis_bringup.export.quiet_obspy import obspy_modules
+from deepseis_bringup.export.sds import SdsArchive
 from deepseis_core.errors import InputError
 from deepseis_core.ros import codecs
 from deepseis_core.types import ImuSample

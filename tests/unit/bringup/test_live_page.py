@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from deepseis_bringup.cli_web import web_options, with_default_port
-from deepseis_bringup.live_page import LivePage, page_spec
-from deepseis_bringup.web_options import PORT, WebOptions
+from deepseis_bringup.commands.web import web_options, with_default_port
+from deepseis_bringup.live.live_page import LivePage, page_spec
+from deepseis_bringup.live.web_options import PORT, WebOptions
 from deepseis_core.errors import InputError
 
 

@@ -15,11 +15,11 @@ from mcap.reader import NonSeekingReader, make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from deepseis_bringup.bag_info import bag_info
-from deepseis_bringup.mcap_file import McapFile
-from deepseis_bringup.mcap_recording import BagWriter, read_messages
-from deepseis_bringup.recovery import recover_bag
-from deepseis_bringup.ros_definitions import Definitions, TopicQos
+from deepseis_bringup.bags.info import bag_info
+from deepseis_bringup.bags.mcap_file import McapFile
+from deepseis_bringup.bags.mcap_recording import BagWriter, read_messages
+from deepseis_bringup.bags.recovery import recover_bag
+from deepseis_bringup.bags.ros_definitions import Definitions, TopicQos
 from deepseis_core.errors import InputError
 from deepseis_core.interface import INTERFACE_VERSION
 from deepseis_core.mcap_scan import McapScan
@@ -306,8 +306,8 @@ def test_recovering_a_whole_bag_changes_nothing_but_a_missing_metadata_yaml(bag)
 RECORDER = """
     import sys, time
     from pathlib import Path
-    from deepseis_bringup.mcap_recording import BagWriter
-    from deepseis_bringup.ros_definitions import Definitions
+    from deepseis_bringup.bags.mcap_recording import BagWriter
+    from deepseis_bringup.bags.ros_definitions import Definitions
     bag = BagWriter(sys.argv[1], definitions=Definitions({"a/msg/A": "uint8[] data\\n"}))
     k = 0
     while True:
@@ -361,7 +361,7 @@ def test_a_recording_in_progress_can_be_read(tmp_path):
 
 
 def test_what_was_logged_long_before_is_passed_over_unread(tmp_path, monkeypatch):
-    monkeypatch.setattr("deepseis_bringup.mcap_file.CHUNK_BYTES", 1 << 16)
+    monkeypatch.setattr("deepseis_bringup.bags.mcap_file.CHUNK_BYTES", 1 << 16)
     with BagWriter(tmp_path / "bag", {}, definitions=definitions(), compression="none") as bag:
         for k in range(500):  # 10 s; a chunk holds 32 blocks
             stamp = 10**18 + k * 20_000_000

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from deepseis_bringup import fdsn_channels, quakeml, sds, stationxml
-from deepseis_bringup.decimation import Decimator
-from deepseis_bringup.miniseed import RECORD_BYTES, counts_of, day_records, sample_times
-from deepseis_bringup.quiet_obspy import obspy_modules
-from deepseis_bringup.sample_runs import Run, RunCutter, exact_pieces
-from deepseis_bringup.utc_pieces import UtcMoment
+from deepseis_bringup.export import fdsn_channels, quakeml, sds, stationxml
+from deepseis_bringup.export.decimation import Decimator
+from deepseis_bringup.export.miniseed import RECORD_BYTES, counts_of, day_records, sample_times
+from deepseis_bringup.export.quiet_obspy import obspy_modules
+from deepseis_bringup.export.sample_runs import Run, RunCutter, exact_pieces
+from deepseis_bringup.export.utc_pieces import UtcMoment
 from deepseis_core.errors import InputError
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.types import DisplacementSource, Station

@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from deepseis_bringup.recording_queue import StampOrder, speaker_of
+from deepseis_bringup.bags.recording_queue import StampOrder, speaker_of
 
 STREAM = {
     "pvt": [(10, b"p10"), (20, b"p20"), (30, b"p30")],

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from mcap.opcode import Opcode
 from rosbags.highlevel import AnyReader
 
-from deepseis_bringup.archive import Archive, ArchiveConfig
-from deepseis_bringup.bag_info import bag_info
-from deepseis_bringup.bag_text import recovery_lines
-from deepseis_bringup.mcap_file import McapFile
-from deepseis_bringup.mcap_recording import read_messages
-from deepseis_bringup.recovery import Loss, recover_bag
-from deepseis_bringup.ros_definitions import Definitions
+from deepseis_bringup.bags.archive import Archive, ArchiveConfig
+from deepseis_bringup.bags.info import bag_info
+from deepseis_bringup.bags.mcap_file import McapFile
+from deepseis_bringup.bags.mcap_recording import read_messages
+from deepseis_bringup.bags.recovery import Loss, recover_bag
+from deepseis_bringup.bags.ros_definitions import Definitions
+from deepseis_bringup.bags.text import recovery_lines
 from deepseis_core.errors import InputError
 from deepseis_core.mcap_scan import MAGIC, McapScan
 from deepseis_frontend.if_bag import bag_files, mcap_files

@@ -7,13 +7,14 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from deepseis_bringup import report, report_document
-from deepseis_bringup.mcap_recording import BagWriter
-from deepseis_bringup.report_plot import envelope, with_breaks
-from deepseis_bringup.report_timeline import CODE, PHASE, PULL_IN, SEARCH, states, stretches
-from deepseis_bringup.ros_definitions import Definitions
-from deepseis_bringup.run_data import RunData
-from deepseis_bringup.run_truth import Truth, phase_errors, remove_common
+from deepseis_bringup.bags.mcap_recording import BagWriter
+from deepseis_bringup.bags.ros_definitions import Definitions
+from deepseis_bringup.report import document as report_document
+from deepseis_bringup.report import run_report as report
+from deepseis_bringup.report.plot import envelope, with_breaks
+from deepseis_bringup.report.run_data import RunData
+from deepseis_bringup.report.run_truth import Truth, phase_errors, remove_common
+from deepseis_bringup.report.timeline import CODE, PHASE, PULL_IN, SEARCH, states, stretches
 from deepseis_core.errors import InputError
 from deepseis_core.geodesy import ecef_from_enu, ecef_from_geodetic
 

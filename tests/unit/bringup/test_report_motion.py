@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deepseis_bringup import report
-from deepseis_bringup.mcap_recording import BagWriter
-from deepseis_bringup.run_data import RunData
-from deepseis_bringup.run_motion import FUSED, GNSS, RTK, events, streams
+from deepseis_bringup.bags.mcap_recording import BagWriter
+from deepseis_bringup.report import run_report as report
+from deepseis_bringup.report.run_data import RunData
+from deepseis_bringup.report.run_motion import FUSED, GNSS, RTK, events, streams
 from deepseis_core.geodesy import ecef_from_enu, ecef_from_geodetic
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.ros import codecs

@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 from unit.pvt.tracked_signals import ephemeris as made_ephemeris
 from unit.pvt.tracked_signals import rtklib_ephemeris
 
-from deepseis_bringup.nmea import gga
-from deepseis_bringup.rtcm_msm import lock_indicator, msm7
-from deepseis_bringup.rtcm_station import gps_ephemeris, reference_point
+from deepseis_bringup.export.nmea import gga
+from deepseis_bringup.export.rtcm_msm import lock_indicator, msm7
+from deepseis_bringup.export.rtcm_station import gps_ephemeris, reference_point
 from deepseis_core.constants import L1_WAVELENGTH, SPEED_OF_LIGHT
 from deepseis_core.errors import InputError
 from deepseis_core.geodesy import ecef_from_geodetic

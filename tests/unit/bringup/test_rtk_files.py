@@ -10,8 +10,8 @@ from graph_runs import command
 from numpy.testing import assert_allclose
 from unit.pvt.test_rtk import postpos
 
-from deepseis_bringup.rtk_files import RtkTable, calendar, solve, write_csv, write_pos
-from deepseis_bringup.rtk_page import page
+from deepseis_bringup.survey.rtk_files import RtkTable, calendar, solve, write_csv, write_pos
+from deepseis_bringup.survey.rtk_page import page
 from deepseis_core.errors import InputError
 from deepseis_core.gps_time import GpsTime
 from deepseis_pvt.rtk import GEODETIC

@@ -7,9 +7,11 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import norm
 
-from deepseis_bringup import sim_figures, sim_page, sim_signal
-from deepseis_bringup.sim_envelope import Envelope
-from deepseis_bringup.sim_pictures import Pictures
+from deepseis_bringup.simulation import figures as sim_figures
+from deepseis_bringup.simulation import page as sim_page
+from deepseis_bringup.simulation import signal as sim_signal
+from deepseis_bringup.simulation.envelope import Envelope
+from deepseis_bringup.simulation.pictures import Pictures
 from deepseis_core.constants import L1_WAVELENGTH
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.if_format import IfFormat

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepseis_bringup.simulate import simulate
+from deepseis_bringup.simulation.simulate import simulate
 from deepseis_core.errors import InputError
 from deepseis_core.imu_message import decode_imu
 from deepseis_core.mcap_scan import McapScan

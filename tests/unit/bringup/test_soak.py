@@ -9,16 +9,16 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from deepseis_bringup.accept import Acceptance
-from deepseis_bringup.soak_observables import Holes, renewed, soak_observables
-from deepseis_bringup.soak_plan import FIRST_S, LAST_S, LENGTHS, Disturbance, plan
-from deepseis_bringup.soak_report import (
+from deepseis_bringup.accept.tables import Acceptance
+from deepseis_bringup.soak.observables import Holes, renewed, soak_observables
+from deepseis_bringup.soak.plan import FIRST_S, LAST_S, LENGTHS, Disturbance, plan
+from deepseis_bringup.soak.report import (
     add_losses,
     add_resources,
     losses,
     losses_of_holes,
 )
-from deepseis_bringup.soak_resources import Resources, growth_of
+from deepseis_bringup.soak.resources import Resources, growth_of
 from deepseis_core.ephemeris import pack, satellite_states
 from deepseis_core.gps_time import GpsTime
 from deepseis_sim.nominal_constellation import nominal_constellation

@@ -5,8 +5,8 @@ import pytest
 import yaml
 
 from deepseis_bringup.graph import ALL_SATELLITES, KINDS, build_graph
+from deepseis_bringup.live.web_options import WebOptions
 from deepseis_bringup.station_config import StationConfig, read_station_config, station_config
-from deepseis_bringup.web_options import WebOptions
 from deepseis_core.errors import InputError
 from deepseis_frontend.nodes.if_source import SourceConfig
 from deepseis_ins.fusion_config import FusionConfig

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from deepseis_bringup.rtcm_msm import msm7
-from deepseis_bringup.rtcm_station import reference_point
+from deepseis_bringup.export.rtcm_msm import msm7
+from deepseis_bringup.export.rtcm_station import reference_point
 from deepseis_core.errors import InputError
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.rtcm_frame import Bits, frame

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepseis_bringup.inertial import has_imu, inertial_parameters, installed_parameters
-from deepseis_bringup.simulate import simulate
+from deepseis_bringup.simulation.simulate import simulate
 from deepseis_core.errors import InputError
 from deepseis_core.sample_clock import SampleClock
 from deepseis_frontend.if_bag import IfBag

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepseis_bringup.quiet_obspy import obspy_modules
+from deepseis_bringup.export.quiet_obspy import obspy_modules
 from deepseis_core.errors import InputError
 from deepseis_core.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from deepseis_core.gps_time import GpsTime

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepseis_bringup.survey_gnss import _Solver, survey_gnss
+from deepseis_bringup.survey.survey_gnss import _Solver, survey_gnss
 from deepseis_core.types import Lli
 from deepseis_pvt.phase_velocity import phase_step
 from deepseis_sim.bench import Bench

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from deepseis_bringup.quiet_obspy import obspy_modules
+from deepseis_bringup.export.quiet_obspy import obspy_modules
 from deepseis_core.errors import InputError
 from deepseis_core.types import FloatArray
 from deepseis_sim.accelerogram import Accelerogram, read_accelerogram

@@ -6,21 +6,19 @@ from typing import Annotated
 
 import typer
 
-from deepseis_bringup import (
-    cli_accept,
-    cli_align,
-    cli_bags,
-    cli_commission,
-    cli_convert,
-    cli_gravimetry,
-    cli_rtk,
-    cli_runs,
-    cli_sim,
-    cli_soak,
-    cli_station,
-    cli_theory,
-)
-from deepseis_bringup.cli_web import with_default_port
+from deepseis_bringup.commands import accept as cli_accept
+from deepseis_bringup.commands import align as cli_align
+from deepseis_bringup.commands import bags as cli_bags
+from deepseis_bringup.commands import commission as cli_commission
+from deepseis_bringup.commands import convert as cli_convert
+from deepseis_bringup.commands import gravimetry as cli_gravimetry
+from deepseis_bringup.commands import rtk as cli_rtk
+from deepseis_bringup.commands import runs as cli_runs
+from deepseis_bringup.commands import sim as cli_sim
+from deepseis_bringup.commands import soak as cli_soak
+from deepseis_bringup.commands import station as cli_station
+from deepseis_bringup.commands import theory as cli_theory
+from deepseis_bringup.commands.web import with_default_port
 
 app = typer.Typer(
     help="A GNSS/INS seismograph station: ground motion through strong earthquakes.",

@@ -14,6 +14,8 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
+from deepseis_bringup.bags.recorded_misses import recorded_misses
+from deepseis_bringup.bags.run_records import input_hash, recorded_run, versions, with_records
 from deepseis_bringup.base import base_parameters, base_position, has_base, knows_its_base
 from deepseis_bringup.graph import ALL_SATELLITES, GraphConfig, build_graph
 from deepseis_bringup.inertial import (
@@ -22,13 +24,11 @@ from deepseis_bringup.inertial import (
     inertial_parameters,
     installed_parameters,
 )
-from deepseis_bringup.live_page import LivePage, live_page
-from deepseis_bringup.recorded_misses import recorded_misses
+from deepseis_bringup.live.live_page import LivePage, live_page
+from deepseis_bringup.live.web_options import WebOptions
 from deepseis_bringup.restarts import Restarts
-from deepseis_bringup.run_records import input_hash, recorded_run, versions, with_records
 from deepseis_bringup.supervisor import NodeFailureError, Supervisor, own_domain, running
 from deepseis_bringup.watch import GraphWatch
-from deepseis_bringup.web_options import WebOptions
 from deepseis_core.errors import DiskError, InputError
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.sample_clock import utc_ns_from_iso
@@ -312,7 +312,7 @@ def demo(
     folder: Path, *, duration: float = 40.0, if_format: str = "iq2", seed: int = 1
 ) -> dict[str, Any]:
     """Simulate a still antenna, run the graph on the signal over DDS, report."""
-    from deepseis_bringup.report import write_report
+    from deepseis_bringup.report.run_report import write_report
     from deepseis_sim.still_recording import StillConfig, simulate_still
 
     config = replace(StillConfig(), duration=duration, if_format=if_format, seed=seed)
@@ -337,7 +337,7 @@ def replay(
     with an IMU in the bag and orbits (``nav.rnx``) beside it the station starts assisted. What a
     realtime run did not wait for, its replay in lockstep does not wait for either.
     """
-    from deepseis_bringup.report import write_report
+    from deepseis_bringup.report.run_report import write_report
 
     recorded = recorded_run(bag)
     if options.aiding == "auto":

@@ -17,10 +17,10 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 
 from deepseis_bringup.alert import Alerts
+from deepseis_bringup.bags.run_records import versions
 from deepseis_bringup.graph import build_graph
-from deepseis_bringup.live_page import LivePage, live_page
+from deepseis_bringup.live.live_page import LivePage, live_page
 from deepseis_bringup.restarts import Restarts
-from deepseis_bringup.run_records import versions
 from deepseis_bringup.station_config import StationConfig
 from deepseis_bringup.supervisor import Supervisor, running
 from deepseis_bringup.watch import GraphWatch

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from deepseis_bringup.alert import AlertConfig, checked
-from deepseis_bringup.archive import ArchiveConfig, free_bytes
-from deepseis_bringup.archive_report import estimate
+from deepseis_bringup.bags.archive import ArchiveConfig, free_bytes
+from deepseis_bringup.bags.archive_report import estimate
+from deepseis_bringup.bags.run_records import with_records
 from deepseis_bringup.graph import ALL_SATELLITES, KINDS, GraphConfig
-from deepseis_bringup.run_records import with_records
+from deepseis_bringup.live.web_options import WebOptions
 from deepseis_bringup.runs import RunOptions, Selection, graph_config
-from deepseis_bringup.web_options import WebOptions
 from deepseis_core.errors import InputError
 from deepseis_core.yaml_config import Entry, fill, read_yaml
 from deepseis_frontend.if_open import open_source

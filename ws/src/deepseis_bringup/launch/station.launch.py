@@ -42,9 +42,9 @@ def station_nodes(context):
     """Return one action for each process of the graph."""
     from dataclasses import replace
 
-    from deepseis_bringup.cli_runs import coupled
+    from deepseis_bringup.commands.runs import coupled
     from deepseis_bringup.graph import build_graph
-    from deepseis_bringup.live_page import page_spec
+    from deepseis_bringup.live.live_page import page_spec
     from deepseis_bringup.runs import new_run_folder
     from deepseis_bringup.station_config import read_station_config
     from deepseis_bringup.supervisor import parameter_file

@@ -10,11 +10,11 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
-from deepseis_bringup.datalink import DataLink, address_of
-from deepseis_bringup.gdrt import GdrtSender
-from deepseis_bringup.live_export import LiveConfig, LiveExport
-from deepseis_bringup.quiet_obspy import obspy_modules
-from deepseis_bringup.sds import SdsArchive
+from deepseis_bringup.export.datalink import DataLink, address_of
+from deepseis_bringup.export.gdrt import GdrtSender
+from deepseis_bringup.export.live_export import LiveConfig, LiveExport
+from deepseis_bringup.export.quiet_obspy import obspy_modules
+from deepseis_bringup.export.sds import SdsArchive
 from deepseis_core.config import setting
 from deepseis_core.errors import InputError
 from deepseis_core.imu_message import decode_imu

@@ -10,9 +10,9 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
-from deepseis_bringup.archive import Archive, ArchiveConfig
-from deepseis_bringup.archive_report import disk_report
-from deepseis_bringup.recording_queue import (
+from deepseis_bringup.bags.archive import Archive, ArchiveConfig
+from deepseis_bringup.bags.archive_report import disk_report
+from deepseis_bringup.bags.recording_queue import (
     StampOrder,
     about_whom,
     event_span,
@@ -20,7 +20,7 @@ from deepseis_bringup.recording_queue import (
     speaker_of,
     stamp_of_cdr,
 )
-from deepseis_bringup.ros_definitions import TopicQos
+from deepseis_bringup.bags.ros_definitions import TopicQos
 from deepseis_core.config import setting
 from deepseis_core.errors import InputError
 from deepseis_core.ros import diagnostics, qos

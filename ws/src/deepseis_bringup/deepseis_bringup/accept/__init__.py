@@ -1,0 +1,1 @@
+"""The papers' tables repeated: published value, ours, goal, limit."""

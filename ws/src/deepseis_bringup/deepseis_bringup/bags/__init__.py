@@ -1,0 +1,1 @@
+"""Bags: written so that a crash takes a quarter of a second, read, described, mended."""

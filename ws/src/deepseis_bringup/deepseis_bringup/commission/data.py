@@ -1,0 +1,142 @@
+"""What a station's first minutes hold for its commissioning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deepseis_bringup.commission.align import imu_series, run_clock
+from deepseis_bringup.export.convert_bag import ConvertBag
+from deepseis_core.errors import InputError
+from deepseis_core.imu_grades import ImuGrade, grade_named
+from deepseis_core.rotation import matrix_from_quat
+from deepseis_core.sample_clock import SampleClock
+from deepseis_core.types import (
+    FloatArray,
+    ImuSample,
+    Observations,
+    PrecisePosition,
+    Pvt,
+    Station,
+)
+from deepseis_ins.mounting import ImuSeries
+
+WINDOW_S = 1.0
+STILL_RATIO = 2.5
+"""Of the quietest fifth of the windows, beyond which a window is not still."""
+MOVES = 0.05
+"""R.m.s. of the specific force's change in a window that surely moves [m/s^2]."""
+
+
+@dataclass
+class StationData:
+    """Values of one station, IMU samples forward-left-up, all by sample index."""
+
+    clock: SampleClock
+    station: Station
+    imu: list[ImuSample] = field(default_factory=list)
+    pvt: list[Pvt] = field(default_factory=list)
+    precise: list[PrecisePosition] = field(default_factory=list)
+    rtk: list[PrecisePosition] = field(default_factory=list)
+    observations: list[Observations] = field(default_factory=list)
+
+    @property
+    def grade(self) -> ImuGrade:
+        """Of the IMU."""
+        return grade_named(self.station.imu)
+
+    @property
+    def C_enu_b(self) -> FloatArray | None:  # noqa: N802
+        """Surveyed attitude, forward-left-up to east-north-up; None: not surveyed."""
+        quat = np.asarray(self.station.imu_orientation_xyzw, np.float64)
+        return matrix_from_quat(quat) if np.any(quat) else None
+
+    @property
+    def imu_rate_hz(self) -> float:
+        """Samples a second."""
+        ends = np.array([s.sample_index for s in self.imu[:2000]])
+        return round(self.clock.sample_rate_hz / float(np.median(np.diff(ends))), 3)
+
+    def series(self) -> ImuSeries:
+        """Return the IMU's increments."""
+        return imu_series(self.imu, self.clock, self.imu_rate_hz)
+
+    @cached_property
+    def windows(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Means of force and rate, (n, 3), and r.m.s. changes of force, of whole seconds."""
+        force = np.array([s.linear_acceleration for s in self.imu])
+        rate = np.array([s.angular_velocity for s in self.imu])
+        size = round(WINDOW_S * self.imu_rate_hz)
+        count = len(force) // size
+        cut = [v[: count * size].reshape(count, size, 3) for v in (force, rate)]
+        return cut[0].mean(axis=1), cut[1].mean(axis=1), np.sqrt(cut[0].var(axis=1).sum(axis=1))
+
+    def still(self) -> NDArray[np.bool_]:
+        """Tell of each whole second of the IMU whether it is still, shape (n,) of bool.
+
+        The quietest ones are, and what is not much louder.
+        """
+        change = self.windows[2]
+        return np.asarray(change < max(STILL_RATIO * float(np.quantile(change, 0.2)), 1e-12))
+
+    def moves(self) -> bool:
+        """Tell whether some seconds surely move: well over the noise of the others."""
+        change = self.windows[2]
+        quiet = float(np.quantile(change, 0.2))
+        return int(np.sum(change > max(MOVES, 1.5 * quiet))) >= 4
+
+    def is_still_at(self, sample_index: int) -> bool:
+        """Tell whether the second of a sample is still."""
+        return bool(self.still_seconds.get(int(sample_index / self.clock.sample_rate_hz), False))
+
+    @cached_property
+    def still_seconds(self) -> dict[int, bool]:
+        """Whether each second since sample 0 is still."""
+        if not self.imu:
+            return {}
+        first = self.imu[0].sample_index / self.clock.sample_rate_hz
+        return {int(first + k * WINDOW_S): bool(v) for k, v in enumerate(self.still())}
+
+
+TOPICS = ("station", "imu/data_raw", "gnss/pvt", "gnss/precise", "gnss/rtk", "gnss/observations")
+
+
+def read_station_data(bag: Path, longest_s: float) -> StationData:
+    """Read the beginning of a station's bag.
+
+    Raises
+    ------
+    InputError
+        The bag does not describe its station, or its clock is not known.
+    """
+    clock = run_clock(bag)
+    found: StationData | None = None
+    waiting: list[tuple[str, object]] = []
+    last = longest_s * clock.sample_rate_hz
+    for topic, value, utc_ns in ConvertBag(bag).values(TOPICS):
+        if topic == "station":
+            found = found or StationData(clock, value)
+            continue
+        if topic == "imu/data_raw":
+            index = clock.sample_at(utc_ns)
+            value = ImuSample(index, value.angular_velocity, value.linear_acceleration,
+                              value.angular_velocity_variance,
+                              value.linear_acceleration_variance)  # fmt: skip
+        if value.sample_index <= last:
+            waiting.append((topic, value))
+    if found is None:
+        raise InputError(bag, "does not describe its station", "it needs an IMU's installation")
+    lists = {
+        "imu/data_raw": found.imu,
+        "gnss/pvt": found.pvt,
+        "gnss/precise": found.precise,
+        "gnss/rtk": found.rtk,
+        "gnss/observations": found.observations,
+    }
+    for topic, value in waiting:
+        lists[topic].append(value)  # type: ignore[attr-defined]
+    return found

@@ -1,0 +1,1 @@
+"""The formats of seismology and geodesy, from a bag and live."""

@@ -1,0 +1,1 @@
+"""Faults put into recordings, and what the station made of them."""

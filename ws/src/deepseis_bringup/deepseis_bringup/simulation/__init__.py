@@ -1,0 +1,1 @@
+"""Input bags of the test bench, with the page that shows them."""

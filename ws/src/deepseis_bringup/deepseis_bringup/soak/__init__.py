@@ -1,0 +1,1 @@
+"""Long runs with random faults: what was lost, what grew."""

@@ -1,0 +1,1 @@
+"""Recordings worked out afterwards: gravity along repeated lines, RTK of files."""
