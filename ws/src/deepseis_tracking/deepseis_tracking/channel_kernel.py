@@ -38,8 +38,10 @@ FADED = 0.05
 SEEN = 60.0
 """Mean power from which on noise alone does not make that of a signal that is there [-]."""
 SLIP_JUMP_CYCLES = 0.15
-"""Nor can it come in one step: 2 g at 2 Hz moves the error of 15 Hz by 0.035 in 20 ms, and noise
-at 30 dB-Hz has a sigma of 0.035. A slipping loop passes half a cycle in some steps."""
+"""Nor can it come in one step: 2 g at 2 Hz moves the error of 15 Hz by 0.035 in 20 ms. A slipping
+loop passes half a cycle in some steps."""
+SLIP_SIGMAS = 7.0
+"""Least jump in sigmas of one error, 5 of the difference: by noise once in ten hours [-]."""
 FAR_HZ = 12.0
 """Residual Doppler that a loop of 20 ms does not pull in."""
 CARRIER_TO_CODE = CA_RATE_CPS / L1_HZ
@@ -114,6 +116,13 @@ def _restart_tracking(state: Any, residual_hz: float) -> None:
 
 
 @njit(cache=True, nogil=True)
+def _error_sigma(cn0_dbhz: float) -> float:
+    """Noise of the discriminator's mean over `SLIP_MEAN_S` [cycles] (arctangent, thesis 3.2)."""
+    power = 2.0 * SLIP_MEAN_S * 10.0 ** (cn0_dbhz / 10.0)
+    return math.sqrt((1.0 + 1.0 / power) / power) / (2.0 * math.pi)
+
+
+@njit(cache=True, nogil=True)
 def _after_integration(
     state: Any, config: Any, row: Any, sums: np.ndarray, shift: float, periods: int
 ) -> None:
@@ -142,8 +151,9 @@ def _after_integration(
         # A mean over 20 ms: shorter integrations are noisier than the limit.
         before = state.mean_error
         state.mean_error += min(1.0, period / SLIP_MEAN_S) * (error - before)
-        far = abs(state.mean_error) > SLIP_CYCLES
-        jumped = abs(state.mean_error - before) > SLIP_JUMP_CYCLES
+        sigma = _error_sigma(state.cn0)
+        far = abs(state.mean_error) > max(SLIP_CYCLES, min(0.2, 5.5 * sigma))
+        jumped = abs(state.mean_error - before) > max(SLIP_JUMP_CYCLES, SLIP_SIGMAS * sigma)
         faded = i * i + q * q - 2.0 < FADED * state.lock_den and state.lock_den > SEEN
         if (far or jumped or faded) and state.phase_lock == 1:
             state.pending_flags |= SLIP
