@@ -15,7 +15,6 @@ copyright = "DeepSeis developers, Apache-2.0"
 extensions = ["myst_parser"]
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["_build"]
-suppress_warnings = ["toc.not_included"]  # found by links too
 myst_heading_anchors = 3
 html_theme = "furo"
 html_title = "DeepSeis"

@@ -136,7 +136,7 @@ def step_figures(
             "yaxis": axis(f"{axis_name} [m]", range=[-reach[0], reach[1]]),
             "showlegend": True, "legend": {"x": 0, "y": 1},
         }  # fmt: skip
-        caption = "Displacement; the accelerometer alone leaves the picture."
+        caption = "Displacement; the accelerometer alone drifts away."
         figures.append(Figure(f"Step {axis_name}, {scene}", caption, [Panel(data, layout)]))
     figures.append(_step_errors(scene, streams, truth, still, end, outside))
     return figures

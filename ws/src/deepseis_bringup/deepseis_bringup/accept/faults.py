@@ -3,7 +3,7 @@
 Each scene is simulated once; a fault is put into its recording (`faulty_bag`) and the receiver
 works through it in one process, whose values are those of the graph in lockstep. The full form
 runs the graph over DDS instead, in separate processes, where ``/diagnostics`` must say what is
-wrong, and kills processes in real time.
+wrong. Kills of processes are the soak test's (`deepseis_bringup.soak`).
 """
 
 from __future__ import annotations
