@@ -108,12 +108,15 @@ class PvtNode(Node):
         followed = [*([MOTION] * precise.wait_motion), *([BASE] * precise.wait_base)]
         self.witnesses = {name: CountedInput(counting=not self.flow.rejoins) for name in followed}
         self.members = [*config.trackers, *followed]
+        # At the end of the stream, in lockstep: what a tracker has said may be overtaken.
+        counting = self.flow.lockstep
+        self.spoken = {name: CountedInput(counting=counting) for name in config.trackers}
         self.load_navigation()
         self.clock: SampleClock | None = None
         self.positions = self.ephemerides = self.precise_positions = self.epochs = 0
         self.second = -1
         self.deadline, self.arrivals = EpochDeadline(1e-3 * config.pvt_deadline_ms), Arrivals()
-        self.is_placed = False
+        self.is_placed = self.ending = False
         publish_on = self.flow.publish_on
         self.observations = publish_on("gnss/observations", Observations, qos.STREAM)
         self.pvt = publish_on("gnss/pvt", Pvt, qos.STREAM)
@@ -161,7 +164,15 @@ class PvtNode(Node):
             self.engine.assist(assistance_of(known, self.clock, troposphere=self.troposphere))
         self.deadline.heard(epochs.satellite)
         self.engine.push_epochs(epochs)
+        if (tracker := self.tracker_of(epochs.satellite)) is not None:
+            tracker.received()
         self.work()
+        self.finish_if_ended()
+
+    def tracker_of(self, satellite: str) -> CountedInput | None:
+        """Return what counts the messages of the process that tracks a satellite."""
+        own = self.spoken.get(f"trackers_{satellite.lower()}")
+        return own or next(iter(self.spoken.values()), None)
 
     def on_ephemeris(self, ephemeris: Ephemeris, _utc_ns: int) -> None:
         """Take an ephemeris that was decoded."""
@@ -198,6 +209,8 @@ class PvtNode(Node):
         if msg.node in self.witnesses:
             self.witnesses[msg.node].announced(msg.event_count, msg.valid_through)
             self.work()
+        if msg.node in self.spoken:
+            self.spoken[msg.node].announced(msg.observation_count, msg.valid_through)
         self.finish_if_ended()
 
     def finish_if_ended(self) -> None:
@@ -206,8 +219,10 @@ class PvtNode(Node):
         ended = all(n in others and others[n].end_of_stream for n in self.members)
         if not (ended and self.members) or self.flow.ended:
             return
-        if any(w.valid_through < others[n].valid_through for n, w in self.witnesses.items()):
+        counted = {**self.witnesses, **self.spoken}
+        if any(w.valid_through < others[n].valid_through for n, w in counted.items()):
             return
+        self.ending = True
         self.work(self.engine.newest_sample())
         if self.realtime is not None and self.clock is not None:
             self.realtime.finish(self.clock.utc_ns(self.engine.worked_through))
@@ -262,7 +277,8 @@ class PvtNode(Node):
         if self.realtime is None:
             return
         worked = self.engine.worked_through
-        for what, through in self.engine.missed.items():
+        # What is lacking after the end of the stream is no miss: in lockstep it lacks too.
+        for what, through in self.engine.missed.items() if not self.ending else ():
             count = self.engine.valid_through + 1 - worked
             self.realtime.misses.note(what, worked, count, through)
         came = self.arrivals.of(worked)

@@ -82,7 +82,7 @@ class TrackerHost:
             process.add(satellite_node)
         self.diagnostics = self.flow.publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
         self.clock: SampleClock | None = None
-        self.second = -1
+        self.second, self.spoken = -1, 0
         self.deadline = Deadline(1e-3 * self.config.aiding_deadline_ms)
         self.flow.follow(["if_source"], self.on_source)
         if self.config.wait_acquisition:
@@ -211,12 +211,19 @@ class TrackerHost:
         for epochs in output.epochs:
             data = codecs.TRACKING_EPOCHS.encode(epochs, utc_ns)
             self.satellites[epochs.satellite].epochs.publish(data)
+        self.spoken += len(output.epochs)
         last = block.sample_index + block.sample_count - 1
         second = int(last / block.sample_rate_hz)
         if second > self.second:
             self.second = second
             self.report(utc_ns)
-        self.flow.send(last, last, event_count=self.engine.request_count, utc_ns=utc_ns)
+        self.flow.send(
+            last,
+            last,
+            event_count=self.engine.request_count,
+            observation_count=self.spoken,
+            utc_ns=utc_ns,
+        )
 
     def report(self, utc_ns: int) -> None:
         """Publish the counters."""
