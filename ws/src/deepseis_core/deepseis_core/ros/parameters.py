@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from difflib import get_close_matches
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -71,13 +72,15 @@ def reject_unknown(node: Node) -> None:
     Raises
     ------
     InputError
-        Names them, and what exists.
+        Names them, and what may have been meant.
     """
     known = set(node.get_parameters_by_prefix("")) | set(node._parameters)
     given = set(node._parameter_overrides)
     unknown = sorted(name for name in given - known if not name.startswith("qos_overrides."))
     if unknown:
-        names = ", ".join(sorted(n for n in known if n != "use_sim_time"))
-        raise InputError(
-            f"node {node.get_name()}", f"unknown parameter {', '.join(unknown)}", f"known: {names}"
+        what, names = f"node {node.get_name()}", sorted(known - {"use_sim_time"})
+        meant = {near for name in unknown for near in get_close_matches(name, names, 2)}
+        hint = (
+            f"did you mean {', '.join(sorted(meant))}?" if meant else f"known: {', '.join(names)}"
         )
+        raise InputError(what, f"unknown parameter {', '.join(unknown)}", hint)
