@@ -153,7 +153,7 @@ def test_a_node_that_dies_is_seen(station, opened):
     one.lives, one.late = False, 10.0  # ten seconds later by the model's clock
     page.wait_for_selector("#traces.stale")
     assert "silent for" in page.text_content("#traces .tag")
-    assert page.locator("#stillness.stale").count() == 0
+    page.wait_for_selector("#stillness:not(.stale)")  # that one goes on, with its next word
     assert "live" in page.text_content("#link")
     one.lives = True
     page.wait_for_selector("#traces:not(.stale)")
