@@ -1,5 +1,6 @@
 """The deepseis command: declares what can be run; each command imports what it needs."""
 
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -105,7 +106,8 @@ for commands in (
 
 
 def main() -> None:
-    """Run the command."""
+    """Run the command; SIGINT ends it also where a shell's background job would ignore it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     app(with_default_port(sys.argv[1:]), prog_name="deepseis")
 
 
