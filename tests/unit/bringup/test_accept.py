@@ -13,7 +13,9 @@ from deepseis_bringup.accept.loop_measures import (
     thermal_deg,
 )
 from deepseis_bringup.accept.tables import COLUMNS, Acceptance, Goal, Row
+from deepseis_bringup.commands.accept import REPEATED, repeater
 from deepseis_bringup.report.plot import Figure, Panel
+from deepseis_core.errors import InputError
 from deepseis_core.types import TrackingEpochs, TrackingFlag, TrackingMode
 
 RATE = 4e6
@@ -173,3 +175,13 @@ def test_a_half_cycle_put_in_for_polarity_is_no_error(made):
         step = np.nanmean(error[1210:1990]) - np.nanmean(error[400:1190])
         # Means of 8 s of 0.004 cycles, 400 integrations.
         assert step == pytest.approx(expected, abs=0.002)
+
+
+@pytest.mark.parametrize("name", REPEATED)
+def test_everything_that_can_be_repeated_is_found(name):
+    assert callable(repeater(name))
+
+
+def test_a_table_that_nobody_knows_is_refused():
+    with pytest.raises(InputError, match="gyrofree"):
+        repeater("thesis")

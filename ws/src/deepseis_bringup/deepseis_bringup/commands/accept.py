@@ -2,24 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, cast
 
 import typer
 
 from deepseis_bringup.commands.common import Out, add_command, into_run_folder, say
+from deepseis_core.errors import InputError
 
-REPEATED: Final[Mapping[str, str]] = {
-    "displacement": "accept_displacement",
-    "faults": "accept_faults",
-    "tight": "accept_tight",
-    "tracking": "accept_tracking",
-    "gyrofree": "accept_gyrofree",
-    "gravimetry": "accept_gravimetry",
-}
-"""Module of `deepseis_bringup`, and its function of the same name, that repeats each."""
+if TYPE_CHECKING:
+    from deepseis_bringup.accept.tables import Acceptance
+
+REPEATED: Final = ("displacement", "faults", "tight", "tracking", "gyrofree", "gravimetry")
+
+
+def repeater(name: str) -> Callable[..., Acceptance]:
+    """Return what repeats a table: `accept_NAME` of the module NAME of `deepseis_bringup.accept`.
+
+    Raises
+    ------
+    InputError
+        No table has this name.
+    """
+    if name not in REPEATED:
+        raise InputError(f"accept {name}", "is not known", "known: " + ", ".join(REPEATED))
+    module = import_module(f"deepseis_bringup.accept.{name}")
+    return cast("Callable[..., Acceptance]", getattr(module, f"accept_{name}"))
 
 
 def accept(
@@ -38,12 +48,7 @@ def accept(
     """
 
     def work(folder: Path) -> None:
-        from deepseis_core.errors import InputError
-
-        if name not in REPEATED:
-            raise InputError(f"accept {name}", "is not known", "known: " + ", ".join(REPEATED))
-        module = import_module(f"deepseis_bringup.{REPEATED[name]}")
-        acceptance = getattr(module, REPEATED[name])(folder, short=short, say=say)
+        acceptance = repeater(name)(folder, short=short, say=say)
         met, goals = acceptance.counts()
         for row in acceptance.rows:
             if row.met is False:
