@@ -127,6 +127,6 @@ def test_a_cut_bag_is_said_in_a_line(tmp_path):
 def test_accelerations_without_gravity_are_refused(tmp_path, monkeypatch):
     path = write("bag", tmp_path)
     describe(path, "topic: /imu/data")
-    monkeypatch.setattr("deepseis_frontend.imu_rosbag.PLAUSIBLE", (20.0, 60.0))
+    monkeypatch.setattr("deepseis_frontend.imu_file.PLAUSIBLE", (20.0, 60.0))
     with pytest.raises(InputError, match="specific force of"):
         open_imu(path, CLOCK)

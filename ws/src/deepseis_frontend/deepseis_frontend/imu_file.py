@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -142,8 +142,7 @@ class ImuFile:
         if len(times) < 2:
             raise InputError(self.path, "holds less than two samples")
         self.dt = float(np.median(np.diff(times)))
-        rate = 1.0 / self.dt
-        self.rate_hz = round(rate, 3) if abs(round(rate, 3) - rate) < 1e-5 * rate else rate
+        self.rate_hz = told_rate(self.dt)
         self._require_gravity()
 
     def samples(self, since: int = 0) -> Iterator[ImuSample]:
@@ -208,10 +207,7 @@ class ImuFile:
         norms = [float(np.linalg.norm(item.linear_acceleration)) for item in found]
         if not norms:
             raise InputError(self.path, "ends before the IF recording begins")
-        middle = float(np.median(norms))
-        if not PLAUSIBLE[0] < middle < PLAUSIBLE[1]:
-            reason = f"has a specific force of {middle:.3g} m/s^2, gravity is 9.8"
-            raise InputError(self.path, reason, "is the accelerometer's unit right?")
+        require_gravity(self.path, norms, "is the accelerometer's unit right?")
 
     def _rows(self) -> Iterator[tuple[float, FloatArray]]:
         """Yield time [s] and the six values of every line, in the columns' units."""
@@ -267,6 +263,20 @@ class ImuFile:
             if not math.isfinite(out[k]):
                 raise InputError(self.path, f"line {number}: {name} is {text!r}, not a number")
         return out
+
+
+def told_rate(interval: float) -> float:
+    """Return the rate [Hz] of a median interval [s]; times are rounded, a whole one is not."""
+    rate = 1.0 / interval
+    return round(rate, 3) if abs(round(rate, 3) - rate) < 1e-5 * rate else rate
+
+
+def require_gravity(path: Path, norms: Sequence[float], hint: str) -> None:
+    """Refuse sizes of specific forces [m/s^2] whose median is not that of gravity."""
+    middle = float(np.median(norms))
+    if not PLAUSIBLE[0] < middle < PLAUSIBLE[1]:
+        reason = f"has a specific force of {middle:.3g} m/s^2, gravity is 9.8"
+        raise InputError(path, reason, hint)
 
 
 def axes_matrix(where: object, axes: tuple[str, ...]) -> FloatArray:

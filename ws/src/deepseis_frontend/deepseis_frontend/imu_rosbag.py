@@ -29,7 +29,14 @@ from deepseis_core.errors import InputError
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import ImuSample
 from deepseis_core.yaml_config import fill, read_yaml
-from deepseis_frontend.imu_file import LOOKED_AT, PLAUSIBLE, STAMPS, Installation, axes_matrix
+from deepseis_frontend.imu_file import (
+    LOOKED_AT,
+    STAMPS,
+    Installation,
+    axes_matrix,
+    require_gravity,
+    told_rate,
+)
 
 TYPE: Final = "sensor_msgs/msg/Imu"
 
@@ -85,8 +92,7 @@ class ImuRosbag:
         self.dt_ns = float(np.median(np.diff(times)))
         if not self.dt_ns > 0.0:
             raise InputError(self.path, "its IMU samples have no times that grow")
-        rate = 1e9 / self.dt_ns
-        self.rate_hz = round(rate, 3) if abs(round(rate, 3) - rate) < 1e-5 * rate else rate
+        self.rate_hz = told_rate(1e-9 * self.dt_ns)
         self._require_gravity()
 
     def samples(self, since: int = 0) -> Iterator[ImuSample]:
@@ -114,10 +120,8 @@ class ImuRosbag:
 
     def _require_gravity(self) -> None:
         found = islice(self._messages(), LOOKED_AT)
-        norm = float(np.median([np.linalg.norm(_vector(m.linear_acceleration)) for _, m in found]))
-        if not PLAUSIBLE[0] < norm < PLAUSIBLE[1]:
-            reason = f"has a specific force of {norm:.3g} m/s^2, gravity is 9.8"
-            raise InputError(self.path, reason, "is gravity taken off, or the unit g?")
+        norms = [float(np.linalg.norm(_vector(m.linear_acceleration))) for _, m in found]
+        require_gravity(self.path, norms, "is gravity taken off, or the unit g?")
 
     def _messages(self) -> Iterator[tuple[int, Any]]:
         """Yield UTC [ns] and message."""
