@@ -261,7 +261,7 @@ def small(monkeypatch):
 
     def on_small_disk(self, path, **options):
         make(self, path, **options)
-        self._file = SmallDisk(self._file, room)
+        self._out._file = SmallDisk(self._out._file, room)
 
     monkeypatch.setattr(mcap_file.McapFile, "__init__", on_small_disk)
     monkeypatch.setattr(mcap_file, "RETRY_SECONDS", 0.01)

@@ -178,7 +178,7 @@ def test_a_folder_with_a_bag_is_not_overwritten(bag):
 def test_a_full_disk_is_an_error_that_names_the_file(tmp_path):
     file = McapFile(tmp_path / "a.mcap")
     number = file.add_channel("/a", "a/msg/A", b"", {})
-    file._file.close()  # what a failing device does to the writing thread
+    file._out.close()  # what a failing device does to the writing thread
     megabytes = (file.write(number, 0, 0, bytes(1 << 20)) for _ in range(1000))
     with pytest.raises(InputError, match=r"a\.mcap: cannot be written"):
         list(megabytes)

@@ -162,11 +162,25 @@ class BagWriter:
 class FileFacts(Protocol):
     """What ``metadata.yaml`` says of one file (:class:`McapFile` has it)."""
 
-    path: Path
-    channels: dict[int, Channel]
-    counts: dict[int, int]
-    start_ns: int
-    end_ns: int
+    @property
+    def path(self) -> Path:
+        """Where it is."""
+
+    @property
+    def channels(self) -> dict[int, Channel]:
+        """Topics by number."""
+
+    @property
+    def counts(self) -> dict[int, int]:
+        """Messages by number of the topic."""
+
+    @property
+    def start_ns(self) -> int:
+        """First log time [ns]."""
+
+    @property
+    def end_ns(self) -> int:
+        """Last log time [ns]."""
 
 
 class _Dumper(yaml.SafeDumper):
