@@ -21,7 +21,7 @@ from deepseis_bringup.bags.mcap_recording import BagWriter, read_messages
 from deepseis_bringup.bags.recording_queue import about_whom, event_span
 from deepseis_bringup.bags.recovery import recover_bag
 from deepseis_bringup.bags.ros_definitions import Definitions
-from deepseis_bringup.runs import half_written_is_removed
+from deepseis_bringup.run_folder import half_written_is_removed
 from deepseis_core.errors import DiskError, InputError
 from deepseis_core.mcap_scan import McapScan
 from deepseis_frontend.if_bag import bag_files, first_messages, mcap_files

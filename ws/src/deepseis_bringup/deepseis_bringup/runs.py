@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +25,9 @@ from deepseis_bringup.inertial import (
 from deepseis_bringup.live.live_page import LivePage, live_page
 from deepseis_bringup.live.web_options import WebOptions
 from deepseis_bringup.restarts import Restarts
-from deepseis_bringup.supervisor import NodeFailureError, Supervisor, own_domain, running
+from deepseis_bringup.supervisor import Supervisor, own_domain, running
 from deepseis_bringup.watch import GraphWatch
-from deepseis_core.errors import DiskError, InputError
+from deepseis_core.errors import InputError
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.sample_clock import utc_ns_from_iso
 from deepseis_frontend.if_open import open_source
@@ -89,53 +87,6 @@ SHORT_SETTINGS: Mapping[str, Mapping[str, Any]] = {
     "acquisition": {"slot_ms": 100, "noncoherent_count": 24},
     "tracker": {"slot_ms": 100, "pull_in_ms": 100},
 }
-
-
-def new_run_folder(chosen: Path | None) -> Path:
-    """Return the run folder to be made.
-
-    Raises
-    ------
-    InputError
-        It exists and is not empty.
-    """
-    folder = chosen or Path("runs") / datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    if folder.exists() and not folder.is_dir():
-        raise InputError(folder, "is a file", "name a new folder with -o")
-    if folder.exists() and any(folder.iterdir()):
-        raise InputError(folder, "exists and is not empty", "name a new folder with -o")
-    return folder
-
-
-@contextmanager
-def half_written_is_removed(folder: Path) -> Iterator[None]:
-    """Remove what a run left if its input was bad, or it ended before anything was recorded."""
-    existed = folder.exists()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(folder, f"cannot be made: {error.strerror}") from None
-    try:
-        yield
-    except BaseException as error:
-        if not _is_worth_keeping(folder, error):
-            _remove(folder, itself=not existed)
-        raise
-
-
-def _is_worth_keeping(folder: Path, error: BaseException) -> bool:
-    """Whether a failed run is a record of something: of a node's failure, or of samples."""
-    if isinstance(error, InputError):
-        return isinstance(error, (NodeFailureError, DiskError))
-    return any(path.stat().st_size > 65536 for path in folder.glob("bag/*.mcap"))
-
-
-def _remove(folder: Path, *, itself: bool) -> None:
-    if itself:
-        shutil.rmtree(folder, ignore_errors=True)
-        return
-    for path in folder.iterdir():
-        shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink()
 
 
 @contextmanager

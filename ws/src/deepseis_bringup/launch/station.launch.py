@@ -45,7 +45,7 @@ def station_nodes(context):
     from deepseis_bringup.commands.runs import coupled
     from deepseis_bringup.graph import build_graph
     from deepseis_bringup.live.live_page import page_spec
-    from deepseis_bringup.runs import new_run_folder
+    from deepseis_bringup.run_folder import new_run_folder
     from deepseis_bringup.station_config import read_station_config
     from deepseis_bringup.supervisor import parameter_file
 

@@ -14,9 +14,8 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
-from deepseis_bringup.report.document import document, place
+from deepseis_bringup.report.document import Tile, document, page_head, place
 from deepseis_bringup.report.plot import Colours, Figure
-from deepseis_bringup.report.tables import Tile
 
 COLUMNS: Final = (
     *("table", "scenario", "quantity", "unit", "published", "ours", "goal", "limit", "met"),
@@ -171,11 +170,7 @@ class Acceptance:
             Tile("Lines", f"{len(self.rows)}", more="those without a goal are reports"),
             Tile("Tables", f"{len(dict(_by_table(self.rows)))}"),
         ]
-        head = (
-            f'<header class="top"><p class="kind">DeepSeis acceptance</p><h1>{escape(self.title)}'
-            f'</h1><p class="lead">{escape(lead)}</p>'
-            f'<dl class="tiles">{"".join(tile.html() for tile in tiles)}</dl></header>'
-        )
+        head = page_head("acceptance", self.title, lead, tiles=tiles)
         return document(self.title, head, body, panels)
 
 

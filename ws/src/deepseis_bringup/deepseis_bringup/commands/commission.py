@@ -33,11 +33,11 @@ def commission(
     Exit status: 0 passed, 1 a check failed, 2 bad input.
     """
     with one_line_errors():
-        from deepseis_bringup import runs
+        from deepseis_bringup import run_folder
         from deepseis_bringup.commission import commissioning as work
 
-        folder = runs.new_run_folder(output)
-        with runs.half_written_is_removed(folder):
+        folder = run_folder.new_run_folder(output)
+        with run_folder.half_written_is_removed(folder):
             result = work.commission(bag_of(run), folder, longest_s=longest)
         for check in result["checks"]:
             typer.echo(f"{check['status']}\t{check['name']}\t{check['found']}")

@@ -47,10 +47,10 @@ def one_line_errors() -> Iterator[None]:
 def into_run_folder(output: Path | None, work: Callable[[Path], Any]) -> None:
     """Do ``work`` into a new run folder; its path is the last line printed."""
     with one_line_errors():
-        from deepseis_bringup import runs
+        from deepseis_bringup import run_folder
 
-        folder = runs.new_run_folder(output)
-        with runs.half_written_is_removed(folder):
+        folder = run_folder.new_run_folder(output)
+        with run_folder.half_written_is_removed(folder):
             work(folder)
         typer.echo(str(folder))
 

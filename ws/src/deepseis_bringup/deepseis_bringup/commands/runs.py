@@ -25,6 +25,10 @@ Coupling = Annotated[
         " satellites), ldv (a velocimeter)."
     ),
 ]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Parameter of a node: tracker.pll_bandwidth_hz=20; repeatable."),
+]
 
 
 def demo(
@@ -83,12 +87,7 @@ def replay(
             " ntrips://..., tcp://host:port."
         ),
     ] = "",
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", help="Parameter of a node: tracker.aided_bandwidth_hz=5; repeatable."
-        ),
-    ] = None,
+    settings: Settings = None,
     web: WebPort = None,
     web_address: WebAddress = None,
     web_token_file: WebToken = None,
@@ -168,12 +167,7 @@ def process(
             "--for-align", help="Positions without the loops' lag, for `align`; needs --position."
         ),
     ] = False,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", help="Parameter of a node: tracker.pll_bandwidth_hz=20; repeatable."
-        ),
-    ] = None,
+    settings: Settings = None,
     output: Out = None,
     web: WebPort = None,
     web_address: WebAddress = None,

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from deepseis_bringup.commission.checks import FAIL, OPEN, PASS, Check, all_checks
 from deepseis_bringup.commission.data import read_station_data
-from deepseis_bringup.report.document import document
+from deepseis_bringup.report.document import document, page_head
 
 LONGEST_S: Final = 600.0
 CELL: Final = "white-space:normal;text-align:left"
@@ -78,10 +78,7 @@ def page(station: str, checks: Sequence[Check]) -> str:
     order = {FAIL: 0, OPEN: 1, PASS: 2}
     rows = "".join(_row(check) for check in sorted(checks, key=lambda c: order[c.status]))
     title = f"Commissioning of {station or 'the station'}"
-    head = (
-        f'<header class="top"><p class="kind">DeepSeis commissioning</p><h1>{escape(title)}</h1>'
-        f'<p class="lead">{escape(verdict(checks))}</p></header>'
-    )
+    head = page_head("commissioning", title, verdict(checks))
     names = ("Check", "Result", "Found", "Expected", "What to look at")
     headings = "".join(f'<th style="{CELL}">{name}</th>' for name in names)
     table = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from dataclasses import dataclass
 from html import escape
 from importlib import resources
 from typing import Any
@@ -15,6 +16,58 @@ FOOTER = (
     "All times count from the first sample of the run. Drag to zoom, double-click to go back; the "
     "buttons at the top show or hide a satellite everywhere."
 )
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A key figure."""
+
+    name: str
+    value: str
+    unit: str = ""
+    more: str = ""
+    bad: bool = False
+
+    def html(self) -> str:
+        """Return the tile."""
+        unit = f'<span class="unit">{escape(self.unit)}</span>' if self.unit else ""
+        return (
+            f'<div class="tile{" bad" if self.bad else ""}"><dt>{escape(self.name)}</dt>'
+            f'<dd><span class="value">{escape(self.value)}</span>{unit}'
+            f'<div class="more">{escape(self.more)}</div></dd></div>'
+        )
+
+
+def page_head(
+    kind: str,
+    title: str,
+    lead: str = "",
+    when: str = "",
+    tiles: Iterable[Tile] = (),
+    more: str = "",
+) -> str:
+    """Return the top of a page.
+
+    Parameters
+    ----------
+    kind : str
+        What sort of page it is.
+    title, lead, when : str
+        Heading, what came out in a sentence, and from when to when; plain text.
+    tiles : iterable of Tile
+        Key figures.
+    more : str
+        HTML after the lead.
+    """
+    figures = "".join(tile.html() for tile in tiles)
+    parts = [
+        f'<p class="kind">DeepSeis {escape(kind)}</p><h1>{escape(title)}</h1>',
+        f'<p class="lead">{escape(lead)}</p>' if lead else "",
+        more,
+        f'<p class="when">{escape(when)}</p>' if when else "",
+        f'<dl class="tiles">{figures}</dl>' if figures else "",
+    ]
+    return f'<header class="top">{"".join(parts)}</header>'
 
 
 def document(
@@ -37,15 +90,15 @@ def document(
     panels : list
         Drawings, as `place` collected them.
     footer : str
-        Plain text below all.
+        Plain text below all; empty: none.
     """
+    below = f"<footer>{escape(footer)}</footer>" if footer else ""
     data = json.dumps(panels, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta name="viewport" content="width=device-width,initial-scale=1">'
         f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>"
-        f"{head}<main>{''.join(body)}</main>"
-        f"<footer>{escape(footer)}</footer>"
+        f"{head}<main>{''.join(body)}</main>{below}"
         f"<script>{_plotly()}</script>"
         f'<script type="application/json" id="figures">{data}</script>'
         f"<script>{SCRIPT}</script></body></html>\n"

@@ -8,7 +8,7 @@ from html import escape
 from typing import Any, Final
 
 from deepseis_bringup.report import loops, motion, position, signal
-from deepseis_bringup.report.document import document, place, switches
+from deepseis_bringup.report.document import document, page_head, place, switches
 from deepseis_bringup.report.plot import Colours, Figure
 from deepseis_bringup.report.run_measures import Measures
 from deepseis_bringup.report.tables import (
@@ -103,12 +103,8 @@ def _head(measures: Measures, summary: Mapping[str, Any], title: str) -> str:
         when += f" at {run.sample_rate_hz / 1e6:g} MHz"
     if name := summary.get("input"):
         when += f", from {name}"
-    return (
-        f'<header class="top"><p class="kind">DeepSeis run report</p><h1>{escape(title)}</h1>'
-        f'<p class="lead">{escape(verdict(measures, summary))}</p>'
-        f'<p class="when">{escape(when)}</p>'
-        f'<dl class="tiles">{"".join(t.html() for t in tiles(measures, summary))}</dl></header>'
-    )
+    lead, figures = verdict(measures, summary), tiles(measures, summary)
+    return page_head("run report", title, lead, when, figures)
 
 
 def verdict(measures: Measures, summary: Mapping[str, Any]) -> str:

@@ -3,37 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from deepseis_bringup.report.document import Tile
 from deepseis_bringup.report.plot import SIGMA, TIMES, Colours, signed
 from deepseis_bringup.report.run_measures import Measures
 
 LEVELS: Final = ("ok", "warning", "error", "stale")
-
-
-@dataclass(frozen=True)
-class Tile:
-    """A key figure."""
-
-    name: str
-    value: str
-    unit: str = ""
-    more: str = ""
-    bad: bool = False
-
-    def html(self) -> str:
-        """Return the tile."""
-        unit = f'<span class="unit">{escape(self.unit)}</span>' if self.unit else ""
-        return (
-            f'<div class="tile{" bad" if self.bad else ""}"><dt>{escape(self.name)}</dt>'
-            f'<dd><span class="value">{escape(self.value)}</span>{unit}'
-            f'<div class="more">{escape(self.more)}</div></dd></div>'
-        )
 
 
 def tiles(measures: Measures, summary: Mapping[str, Any]) -> list[Tile]:

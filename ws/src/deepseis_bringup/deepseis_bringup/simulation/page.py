@@ -10,9 +10,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from deepseis_bringup.report.document import document, place, switches
+from deepseis_bringup.report.document import Tile, document, page_head, place, switches
 from deepseis_bringup.report.plot import TIMES, Colours, Figure
-from deepseis_bringup.report.tables import Tile, files_table, values_table
+from deepseis_bringup.report.tables import files_table, values_table
 from deepseis_bringup.simulation import figures as motion
 from deepseis_bringup.simulation import signal
 from deepseis_bringup.simulation.pictures import Pictures
@@ -99,12 +99,8 @@ def _head(pictures: Pictures, summary: Mapping[str, Any], title: str) -> str:
             '<p class="lead bad">The record that this scenario calls for is not at hand: the '
             "motion is an artificial one that stands in for it.</p>"
         )
-    return (
-        f'<header class="top"><p class="kind">DeepSeis test bench</p><h1>{escape(title)}</h1>'
-        f'<p class="lead">{escape(verdict(pictures, summary))}</p>{stands_in}'
-        f'<p class="when">{escape(when)}</p>'
-        f'<dl class="tiles">{"".join(t.html() for t in tiles(pictures, summary))}</dl></header>'
-    )
+    lead, figures = verdict(pictures, summary), tiles(pictures, summary)
+    return page_head("test bench", title, lead, when, figures, stands_in)
 
 
 def verdict(pictures: Pictures, summary: Mapping[str, Any]) -> str:

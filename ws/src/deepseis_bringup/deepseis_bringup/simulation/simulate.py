@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
@@ -13,6 +12,7 @@ from typing import Any, BinaryIO
 
 from deepseis_bringup.bags.input_bag import ORDER, InputBag
 from deepseis_bringup.bags.run_records import input_hash, versions
+from deepseis_bringup.run_folder import half_written_is_removed, never
 from deepseis_bringup.runs import progress_bar
 from deepseis_bringup.simulation.page import page
 from deepseis_bringup.simulation.pictures import Pictures
@@ -28,24 +28,13 @@ from deepseis_sim.truth_file import TruthFile
 
 
 @contextmanager
-def nothing_half_written(folder: Path) -> Iterator[None]:
-    """Make a folder, and empty it again if what fills it fails; a full disk is bad input."""
-    existed = folder.exists()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(folder, f"cannot be made: {error.strerror}") from None
+def full_disk_is_bad_input(folder: Path) -> Iterator[None]:
+    """Say of a failing file in one line what is wrong."""
     try:
         yield
-    except BaseException as error:
-        for path in folder.iterdir():
-            shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink()
-        if not existed:
-            folder.rmdir()
-        if isinstance(error, OSError):
-            reason = f"cannot be written: {error.strerror or error}"
-            raise InputError(error.filename or folder, reason) from None
-        raise
+    except OSError as error:
+        reason = f"cannot be written: {error.strerror or error}"
+        raise InputError(error.filename or folder, reason) from None
 
 
 def simulate(
@@ -78,7 +67,7 @@ def simulate(
     InputError
         A setting makes no sense, or a file cannot be read or written.
     """
-    with nothing_half_written(folder):
+    with half_written_is_removed(folder, keep=never), full_disk_is_bad_input(folder):
         bench = Bench(scenario)
         with ExitStack() as stack:
             show: Callable[[float], object] = lambda _done: None  # noqa: E731

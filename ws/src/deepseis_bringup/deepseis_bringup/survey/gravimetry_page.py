@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from deepseis_bringup.report.document import document, place
+from deepseis_bringup.report.document import Tile, document, page_head, place
 from deepseis_bringup.report.plot import (
     PALETTE,
     Colours,
@@ -19,7 +19,6 @@ from deepseis_bringup.report.plot import (
     nice_span,
     packed,
 )
-from deepseis_bringup.report.tables import Tile
 from deepseis_bringup.survey.gravimetry import LDV, METHODS, SurveyResult
 from deepseis_core.imu_grades import MGAL
 from deepseis_core.types import FloatArray
@@ -27,7 +26,6 @@ from deepseis_ins.gravimetry_lines import Line, Pass, coincidence
 
 LEGEND: Final = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0}
 HOVER: Final = "%{x:.2f} km E, %{y:.2f} km N: %{marker.color:.1f} mGal<extra></extra>"
-OWN_STYLE: Final = "<style>body>footer{display:none}</style>"
 
 
 def arrow(item: Pass) -> str:
@@ -172,13 +170,8 @@ def page(result: SurveyResult) -> str:
         "Gravity less normal gravity along the way, positive where gravity is stronger. "
         "Velocity from outside: the laser velocimeter, the receiver's Doppler, carrier phases."
     )
-    head = (
-        f'{OWN_STYLE}<header class="top"><p class="kind">DeepSeis gravimetry</p>'
-        f"<h1>Gravity along {_count(result)}</h1>"
-        f'<p class="lead">{lead}</p>'
-        f'<dl class="tiles">{"".join(tile.html() for tile in tiles)}</dl></header>'
-    )
-    return document("Gravimetry", head, body, panels)
+    head = page_head("gravimetry", f"Gravity along {_count(result)}", lead, tiles=tiles)
+    return document("Gravimetry", head, body, panels, footer="")
 
 
 def _count(result: SurveyResult) -> str:

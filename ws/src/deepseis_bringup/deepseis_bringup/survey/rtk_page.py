@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from html import escape
 from typing import Any, Final
 
 import numpy as np
 
-from deepseis_bringup.report.document import document, place
+from deepseis_bringup.report.document import Tile, document, page_head, place
 from deepseis_bringup.report.plot import Colours, Figure, Panel, axis, packed
-from deepseis_bringup.report.tables import Tile, values_table
+from deepseis_bringup.report.tables import values_table
 from deepseis_bringup.survey.rtk_files import RtkTable, calendar
 from deepseis_core.types import PreciseStatus
 
@@ -18,7 +17,6 @@ STATES: Final = (
     (PreciseStatus.FIX, "fixed", "#2f9e6e"),
 )
 LEGEND: Final = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0}
-OWN_STYLE: Final = "<style>body>footer{display:none}</style>"
 
 
 def _points(
@@ -127,13 +125,10 @@ def page(table: RtkTable, about: dict[str, Any], limit: float) -> str:
         Tile("Float", str(figures["float"]), "", f"{figures['none']} without a solution"),
         _spread(figures.get("spread_fixed_enu_m")),
     ]
-    head = (
-        f'{OWN_STYLE}<header class="top"><p class="kind">DeepSeis RTK</p>'
-        f"<h1>{escape(str(about['rover']))} against {escape(str(about['base']))}</h1>"
-        f'<p class="when">{calendar(table.times[0])} to {calendar(table.times[-1])} GPS time</p>'
-        f'<dl class="tiles">{"".join(tile.html() for tile in tiles)}</dl></header>'
-    )
-    return document("RTK", head, body, panels)
+    title = f"{about['rover']} against {about['base']}"
+    when = f"{calendar(table.times[0])} to {calendar(table.times[-1])} GPS time"
+    head = page_head("RTK", title, when=when, tiles=tiles)
+    return document("RTK", head, body, panels, footer="")
 
 
 def _spread(spread: list[float] | None) -> Tile:

@@ -7,7 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
-from deepseis_bringup.report.document import document, place
+from deepseis_bringup.report.document import document, page_head, place
 from deepseis_bringup.report.plot import PALETTE, Colours, Figure, Panel, axis, line, moment
 from deepseis_bringup.report.tables import files_table
 from deepseis_bringup.theory.chart import OTHER, TOTAL, Chart, Comparison
@@ -17,7 +17,7 @@ LEAD: Final = (
     "The papers' theoretical figures, drawn from our formulas (deepseis_tracking.loop_theory). "
     "Their pictures are lost: what the text reads off them is marked, and stands beside ours."
 )
-OWN_STYLE: Final = "<style>body>footer{display:none}td .line{white-space:normal}</style>"
+OWN_STYLE: Final = "<style>td .line{white-space:normal}</style>"
 HEIGHT: Final = 330
 LEGEND_ROW: Final = 19
 
@@ -48,11 +48,8 @@ def page(
         for name, charts in sections.items()
     ]
     body += [_published(rows), _inconsistencies(inconsistencies), _files(folder)]
-    head = (
-        f'{OWN_STYLE}<header class="top"><p class="kind">DeepSeis theory</p>'
-        f'<h1>{TITLE}</h1><p class="lead">{LEAD}</p></header>'
-    )
-    return document(TITLE, head, body, panels)
+    head = OWN_STYLE + page_head("theory", TITLE, LEAD)
+    return document(TITLE, head, body, panels, footer="")
 
 
 def figure(chart: Chart) -> Figure:
