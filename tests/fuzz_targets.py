@@ -488,15 +488,15 @@ def chunk_content() -> bytes:
     """Return what is in a chunk: a schema, a channel, messages."""
     from mcap import records
 
-    from deepseis_bringup.bags.mcap_file import _bytes
+    from deepseis_bringup.bags.mcap_layout import record_bytes
 
-    out = _bytes(records.Schema(1, SCHEMA, "ros2msg", IF_TYPE))
-    out += _bytes(records.Channel(1, "/if/samples", "cdr", {"a": "b"}, 1))
-    out += _bytes(records.Schema(2, b"", "ros2msg", IMU_TYPE))
-    out += _bytes(records.Channel(2, "/imu/data_raw", "cdr", {}, 2))
+    out = record_bytes(records.Schema(1, SCHEMA, "ros2msg", IF_TYPE))
+    out += record_bytes(records.Channel(1, "/if/samples", "cdr", {"a": "b"}, 1))
+    out += record_bytes(records.Schema(2, b"", "ros2msg", IMU_TYPE))
+    out += record_bytes(records.Channel(2, "/imu/data_raw", "cdr", {}, 2))
     for k in range(3):
-        out += _bytes(records.Message(1, k, if_payload(k), k, k))
-        out += _bytes(records.Message(2, k, imu_payload(k), k, k))
+        out += record_bytes(records.Message(1, k, if_payload(k), k, k))
+        out += record_bytes(records.Message(2, k, imu_payload(k), k, k))
     return out
 
 
