@@ -110,39 +110,49 @@ class FusionNode(Node):
             rehearse_fusion(fusion, loose, grade, *rates)
         self.load_navigation()
         self.clock = SampleClock(config.start_utc_ns, config.sample_rate_hz)
+        counting = not self.flow.rejoins
+        followed = FOLLOWED + ("ldv_source",) * isinstance(self.engine, LdvFusionEngine)
+        self.inputs = {name: CountedInput(counting=counting) for name in followed}
+        self.orbits, self.precise, self.rtk = (CountedInput(counting=counting) for _ in range(3))
+        self.epochs: CountedInput | None = None
+        if isinstance(self.engine, TightFusionEngine):
+            self.epochs = CountedInput(counting=counting)
+        self.motions = 0
+        self.second = -1
+        self.deadline = Deadline(1e-3 * config.fusion_deadline_ms)
+        self.arrivals = Arrivals()
+        self.advertise()
+        self.listen()
+
+    def advertise(self) -> None:
+        """Create the publishers."""
         publish_on = self.flow.publish_on
         self.aiding = publish_on("aiding/doppler", DopplerAiding, qos.STREAM)
         self.solution = publish_on("ins/solution", InsSolution, qos.STREAM)
         self.odometry = publish_on("ins/odometry", Odometry, qos.STREAM)
         self.motion = publish_on("seismo/displacement", Displacement, qos.STREAM)
         self.diagnostics = publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
-        counting = not self.flow.rejoins
-        followed = FOLLOWED + ("ldv_source",) * isinstance(self.engine, LdvFusionEngine)
-        self.inputs = {name: CountedInput(counting=counting) for name in followed}
-        self.orbits, self.precise, self.rtk = (CountedInput(counting=counting) for _ in range(3))
-        self.epochs: CountedInput | None = None
-        self.motions = 0
-        self.second = -1
-        self.deadline = Deadline(1e-3 * config.fusion_deadline_ms)
+
+    def listen(self) -> None:
+        """Subscribe to the inputs and to how far others are."""
         self.create_subscription(Imu, "imu/data_raw", self.on_imu, qos.IMU, raw=True)
         subscribe(self, codecs.MOTION_STATE, "motion/state", self.on_motion, qos.LATCHED)
         subscribe(self, codecs.PVT, "gnss/pvt", self.on_pvt, qos.STREAM)
         subscribe(self, codecs.PRECISE_POSITION, "gnss/precise", self.on_precise, qos.STREAM)
-        if config.wait_rtk:
+        if self.config.wait_rtk:
             subscribe(self, codecs.PRECISE_POSITION, "gnss/rtk", self.on_rtk, qos.STREAM)
         subscribe(self, codecs.EPHEMERIS, "gnss/ephemeris", self.on_ephemeris, qos.LATCHED)
         if isinstance(self.engine, TightFusionEngine):
-            self.epochs = CountedInput(counting=counting)
             observed = codecs.OBSERVATIONS, "gnss/observations", self.on_observations
             subscribe(self, *observed, qos.STREAM)
         if isinstance(self.engine, LdvFusionEngine):
             subscribe(self, codecs.LDV_VELOCITY, "ldv/velocity", self.on_ldv, qos.STREAM)
-        self.flow.follow(followed, self.on_watermark)
-        self.arrivals = Arrivals()
+        self.flow.follow(self.inputs, self.on_watermark)
         self.realtime: RealtimeReport | None = None
         if not self.flow.lockstep:
             meters = {"imu_to_aiding": "from IMU sample to aiding"}
-            self.realtime = RealtimeReport(self, "fusion", meters, config.fusion_deadline_ms)
+            deadline_ms = self.config.fusion_deadline_ms
+            self.realtime = RealtimeReport(self, "fusion", meters, deadline_ms)
             every(self, 0.005, self.on_deadline)
 
     def station(self) -> Station:

@@ -117,27 +117,37 @@ class PvtNode(Node):
         self.second = -1
         self.deadline, self.arrivals = EpochDeadline(1e-3 * config.pvt_deadline_ms), Arrivals()
         self.is_placed = self.ending = False
+        self.advertise()
+        self.listen()
+
+    def advertise(self) -> None:
+        """Create the publishers."""
         publish_on = self.flow.publish_on
         self.observations = publish_on("gnss/observations", Observations, qos.STREAM)
         self.pvt = publish_on("gnss/pvt", Pvt, qos.STREAM)
         self.fix = publish_on("gnss/fix", NavSatFix, qos.STREAM)
         self.displacement = {PHASE_TOPIC: publish_on(PHASE_TOPIC, PrecisePosition, qos.STREAM)}
+        if BASE in self.witnesses:
+            self.displacement[RTK_TOPIC] = publish_on(RTK_TOPIC, PrecisePosition, qos.STREAM)
         self.diagnostics = publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
-        for satellite in config.satellites:
+
+    def listen(self) -> None:
+        """Subscribe to the inputs and to how far others are."""
+        for satellite in self.config.satellites:
             topic = f"tracking/{satellite}/epochs"
             subscribe(self, codecs.TRACKING_EPOCHS, topic, self.on_epochs, qos.STREAM)
         subscribe(self, codecs.EPHEMERIS, "gnss/ephemeris", self.on_ephemeris, qos.LATCHED)
-        if precise.wait_motion:
+        if MOTION in self.witnesses:
             subscribe(self, codecs.MOTION_STATE, "motion/state", self.on_motion, qos.LATCHED)
-        if precise.wait_base:
-            self.displacement[RTK_TOPIC] = publish_on(RTK_TOPIC, PrecisePosition, qos.STREAM)
+        if BASE in self.witnesses:
             subscribe(self, codecs.OBSERVATIONS, "base/observations", self.on_base, qos.STREAM)
             subscribe(self, codecs.STATION, "base/reference", self.on_base_place, qos.LATCHED)
         self.flow.follow(self.members, self.on_watermark)
         self.realtime: RealtimeReport | None = None
         if not self.flow.lockstep:
             meters = {"samples_to_epoch": "from samples to their epoch"}
-            self.realtime = RealtimeReport(self, "pvt", meters, config.pvt_deadline_ms)
+            deadline_ms = self.config.pvt_deadline_ms
+            self.realtime = RealtimeReport(self, "pvt", meters, deadline_ms)
             self.flow.follow(["if_source"], self.on_source)
             every(self, 0.01, self.on_deadline)
 
