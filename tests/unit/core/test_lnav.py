@@ -176,8 +176,10 @@ def test_page_18_brings_ionosphere_and_utc_and_renews_the_ephemeris(ephemeris):
     utc = lnav.UtcParameters(1.86e-9, -8.9e-16, 147456.0, 2191, 18, 2185, 7, 18)
     start = 518400 - 518400 % 750 + 17 * 30
     bits = lnav.encode_frame_bits(with_iono, start, 5, utc=utc)
-    events = LnavDecoder("G05", 2190).push(signal(bits), 0)
+    decoder = LnavDecoder("G05", 2190)
+    events = decoder.push(signal(bits), 0)
     (iono,) = [e for e in events if isinstance(e, IonosphereEvent)]
+    assert decoder.utc == iono.utc
     # Half of the fields' last bits (figure 20-1): 2^-30, 2^-27, 2^-24 and 2^11, 2^14, 2^16.
     np.testing.assert_allclose(iono.alpha, ALPHA, atol=2.0**-31)
     np.testing.assert_allclose(iono.beta, BETA, atol=2.0**10)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from deepseis_core.errors import InputError
+from deepseis_core.lnav import UtcParameters
 from deepseis_core.types import (
     AcquisitionResult,
     Aiding,
@@ -133,6 +134,19 @@ def test_aiding_whose_tables_do_not_fit_is_refused_not_stumbled_over(size):
         tracker.push_aiding(made)
         assert tracker.advance() is not None
     assert tracker.health()[2]["aid_invalid"] == 1
+
+
+@pytest.mark.parametrize(("told", "warns"), [(18, False), (19, True)])
+def test_leap_seconds_other_than_the_table_s_are_a_warning(told, warns):
+    tracker = engine(wait_acquisition=False)
+    tracker.push_block(block(0))
+    assert tracker.advance() is not None
+    tracker.channels["G05"].decoder.utc = UtcParameters(
+        week_t=2400, leap_s=told, week_lsf=2400, leap_lsf_s=told
+    )
+    lost, text, values = tracker.health()
+    assert (lost, values["leap_seconds"]) == (warns, told)
+    assert ("19 s by the satellites, 18 s by the table" in text) == warns
 
 
 def test_a_search_that_does_not_fit_into_a_slot_is_refused():

@@ -26,8 +26,8 @@ _UTC_STEPS = tuple(  # [ns] of UTC since the GPS epoch, leap seconds not counted
 )
 _GPS_STEPS = tuple(step + (i + 1) * NS_PER_S for i, step in enumerate(_UTC_STEPS))
 
-# No leap second is announced up to here (Bulletin C 70, 2025-07; none since 2017-01-01).
-LEAP_SECONDS_EXPIRE_UNIX_NS = 1_782_604_800 * NS_PER_S  # 2026-06-28
+# No leap second comes before this day (Bulletin C of 2026-07; none since 2017-01-01).
+LEAP_SECONDS_EXPIRE_UNIX_NS = 1_814_140_800 * NS_PER_S  # 2027-06-28
 
 
 def leap_seconds_at_utc(unix_ns: int) -> int:

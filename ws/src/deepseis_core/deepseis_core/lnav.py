@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from deepseis_core.constants import S_PER_WEEK
+from deepseis_core.constants import NS_PER_S, S_PER_WEEK
+from deepseis_core.gps_time import GpsTime
 from deepseis_core.lnav_words import (
     HANDOVER,
     IONO_FIELDS,
@@ -52,6 +53,37 @@ class UtcParameters:
     day_lsf: int = 1
     leap_lsf_s: int = 18
 
+    @classmethod
+    def at(cls, week: int, tow_s: int) -> UtcParameters:
+        """Return those of a time [weeks, s of week]: no offset, nothing announced.
+
+        Examples
+        --------
+        >>> UtcParameters.at(1626, 432_000).leap_s  # 2011-03-11
+        15
+        """
+        leap_s = GpsTime(week, tow_s * NS_PER_S).leap_seconds()
+        return cls(week_t=week, leap_s=leap_s, week_lsf=week, leap_lsf_s=leap_s)
+
+    def told(self) -> tuple[GpsTime, int]:
+        """Return GPS minus UTC [s], and a moment for which it is told.
+
+        An announced leap second goes before what holds now: of that the last reference time may
+        lie on its other side.
+
+        Examples
+        --------
+        >>> UtcParameters(week_t=2400, leap_s=18, leap_lsf_s=18).told()
+        (GpsTime(week=2400, tow_ns=0), 18)
+        >>> when, leap_s = UtcParameters(leap_s=17, week_lsf=1929, day_lsf=7, leap_lsf_s=18).told()
+        >>> when.to_utc_ns() - 1_483_228_800 * 10**9, leap_s  # a minute of GPS time later
+        (42000000000, 18)
+        """
+        if self.leap_lsf_s != self.leap_s:
+            after_ns = (self.day_lsf * 86_400 + 60) * NS_PER_S
+            return GpsTime(self.week_lsf, after_ns), self.leap_lsf_s
+        return GpsTime(self.week_t, round(self.tot * NS_PER_S)), self.leap_s
+
 
 def ura_index(accuracy: float) -> int:
     """Return the user range accuracy index of an accuracy [m]."""
@@ -85,7 +117,7 @@ def encode_subframe(
     week : int, optional
         GPS week of transmission [weeks]; else the one nearest to toe.
     utc : UtcParameters, optional
-        For page 18; else no offset and 18 leap seconds.
+        For page 18; else no offset and the leap seconds of that time.
     page_18_always : bool, optional
         Send page 18 in every frame rather than once in 12.5 minutes.
 
@@ -103,11 +135,11 @@ def encode_subframe(
     next_tow_count = (tow_s // SUBFRAME_S + 1) % (S_PER_WEEK // SUBFRAME_S)
     put_raw(bits, HANDOVER[0], next_tow_count)
     put_raw(bits, HANDOVER[1], subframe_id)
+    week = transmit_week(ephemeris, tow_s) if week is None else week
     if subframe_id <= 3:
-        week = transmit_week(ephemeris, tow_s) if week is None else week
         _put_ephemeris(bits, ephemeris, subframe_id, week)
     elif subframe_id == 4 and ephemeris.iono_alpha and (page_18_always or page == 18):
-        _put_iono(bits, ephemeris, utc or UtcParameters())
+        _put_iono(bits, ephemeris, utc or UtcParameters.at(week, tow_s))
     else:
         _put_dummy(bits)
     return add_parity(bits)

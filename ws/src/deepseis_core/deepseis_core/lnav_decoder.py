@@ -96,6 +96,8 @@ class LnavDecoder:
     ----------
     subframe_count, failed_count : int
         Subframes accepted, and those missed where one was due.
+    utc : UtcParameters or None
+        Last heard.
     """
 
     def __init__(self, satellite: str, reference_week: int) -> None:
@@ -113,6 +115,7 @@ class LnavDecoder:
         self._frames: dict[int, tuple[int, words.BitArray]] = {}
         self._ephemeris: Ephemeris | None = None
         self._iono: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
+        self.utc: lnav.UtcParameters | None = None
 
     def push(self, bits: ArrayLike, bit_index0: int) -> list[Event]:
         """Take the next data bits.
@@ -254,7 +257,7 @@ class LnavDecoder:
         values: dict[str, Any] = words.get_fields(data, words.IONO_FIELDS)
         alpha = tuple(values.pop(f"alpha{i}") for i in range(4))
         beta = tuple(values.pop(f"beta{i}") for i in range(4))
-        utc = self._utc(values)
+        self.utc = utc = self._utc(values)
         events: list[Event] = [IonosphereEvent(bit_end, alpha, beta, utc)]
         if (alpha, beta) != self._iono and self._ephemeris is not None:
             self._iono = (alpha, beta)

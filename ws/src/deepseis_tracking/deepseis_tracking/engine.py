@@ -299,8 +299,24 @@ class TrackingEngine:
         for name, channel in self.channels.items():
             if channel.mode != TrackingMode.IDLE:
                 values[f"{name}_cn0_dbhz"] = f"{float(channel.state['cn0']):.1f}"
+        wrong = self._leap_seconds(values)
         lost = bool(self.counters["gaps"] or self.counters["aid_missed"] or dropped["diverged"])
-        return lost, f"tracking {len(tracked)}: {' '.join(tracked)}", values
+        text = f"tracking {len(tracked)}: {' '.join(tracked)}"
+        return lost or bool(wrong), text + wrong, values
+
+    def _leap_seconds(self, values: dict[str, object]) -> str:
+        """Compare what the satellites tell with the table; return a complaint."""
+        heard = [c.decoder.utc.told() for c in self.channels.values() if c.decoder.utc]
+        if not heard:
+            return ""
+        when, told = max(heard)
+        values["leap_seconds"] = told
+        known = when.leap_seconds()
+        if told == known:
+            return ""
+        return (
+            f"; GPS - UTC is {told} s by the satellites, {known} s by the table: update DeepSeis"
+        )
 
 
 def _shaped(aiding: Aiding) -> Aiding:
