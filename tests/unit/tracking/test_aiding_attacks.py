@@ -23,6 +23,8 @@ FROM = 100
 """Block from which the aiding is attacked: 2 s."""
 LIMIT = np.sqrt(8 / 10**4.7) / (2 * np.pi)
 """Thermal sigma of the aided loop at 47 dB-Hz [cycles]."""
+CONVENTIONAL = {"fallback_ms": 0}
+"""Settings of a loop that goes on as it is where aiding is away (else: `test_fallback`)."""
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +83,7 @@ def flagged(epochs, flag, after=1.95):
 def test_aiding_that_is_no_use_is_dropped_counted_and_flagged_without_a_bump(
     still, reason, change, form
 ):
-    channel, epochs = attacked(still, change, 3.0, aiding_form=form)
+    channel, epochs = attacked(still, change, 3.0, aiding_form=form, **CONVENTIONAL)
     assert channel.mode == TrackingMode.TRACK
     assert channel.aid_dropped == dict.fromkeys(REASONS, 0) | {reason: 1}
     assert flagged(epochs, TrackingFlag.AID_MISSED) == 1
@@ -98,7 +100,11 @@ def test_flickering_aiding_does_not_move_the_phase(still, form, every):
     def flicker(block, aiding):
         return dataclasses.replace(aiding, valid=bool((block // every) % 2))
 
-    settings = {"aiding_form": form, "pll_bandwidth_hz": 8.0}  # the same loop on and off
+    settings = {
+        "aiding_form": form,
+        "pll_bandwidth_hz": 8.0,
+        **CONVENTIONAL,
+    }  # the same on and off
     _, epochs = attacked(still, flicker, 6.0, **settings)
     _, steady = attacked(still, lambda _, aiding: aiding, 6.0, **settings)
     assert flagged(epochs, TrackingFlag.AID_MISSED) >= 200 // (2 * every) - 1
@@ -126,7 +132,7 @@ def test_flickering_aiding_with_a_known_clock_does_not_move_the_phase(still):
         known = dataclasses.replace(aiding, clock_drift_hz=100.0 * (block % 3))
         return dataclasses.replace(known, valid=block % 4 != 0)
 
-    settings = {"pll_bandwidth_hz": 8.0}
+    settings = {"pll_bandwidth_hz": 8.0, **CONVENTIONAL}
     _, epochs = attacked(still, told, 5.0, **settings)
     _, steady = attacked(still, lambda _, aiding: aiding, 5.0, **settings)
     assert np.abs(errors(still, epochs) - errors(still, steady)).max() < 0.2 * LIMIT
@@ -151,8 +157,9 @@ def test_a_large_step_is_not_followed_and_the_new_prediction_is_taken_up(still, 
     def step(block, aiding):
         return shifted(aiding, 5e3 * (block // 25 % 2))
 
-    channel, epochs = attacked(still, step, aiding_form=form)
-    _, steady = attacked(still, lambda _, aiding: aiding, aiding_form=form)
+    settings = {"aiding_form": form, **CONVENTIONAL}
+    channel, epochs = attacked(still, step, **settings)
+    _, steady = attacked(still, lambda _, aiding: aiding, **settings)
     assert channel.aid_dropped["stepped"] == 5
     assert channel.aid_dropped["diverged"] == 0
     assert channel.mode == TrackingMode.TRACK_AIDED

@@ -169,6 +169,8 @@ def precise_parameters(config: GraphConfig) -> dict[str, Any]:
     name, default = ("aided", 8.0) if config.aiding else ("pll", 15.0)
     bandwidth_hz = float(tracker.get(f"{name}_bandwidth_hz", default))
     base = {"wait_base": config.base, "rtk_bandwidth_hz": bandwidth_hz}
+    if "fallback_bandwidth_hz" in tracker:
+        base["fallback_bandwidth_hz"] = float(tracker["fallback_bandwidth_hz"])
     if config.aiding == "fusion":
         integration_ms = float(tracker.get("integration_ms", 20))
         return {

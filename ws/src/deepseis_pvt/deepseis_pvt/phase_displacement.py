@@ -58,6 +58,9 @@ class PhaseConfig:
     loop_bandwidth_hz: float = setting(
         8.0, "noise bandwidth of the carrier loops: noise by C/N0, white below it [Hz]", low=0.1
     )
+    fallback_bandwidth_hz: float = setting(
+        50.0, "the same where a loop runs without the aiding that it ought to have [Hz]", low=0.1
+    )
     phase_floor_sd: float = setting(
         0.0003, "phase noise besides the thermal one, at the zenith [m]", low=0.0, high=0.05
     )
@@ -75,10 +78,14 @@ class PhaseConfig:
         10.0, "memory of the noise level that residuals show [s]", low=0.1, high=1e4
     )
 
-    def variance(self, cn0_dbhz: FloatArray, elevation: FloatArray) -> FloatArray:
-        """Return the variance of phases' noise [m^2]."""
+    def variance(
+        self, cn0_dbhz: FloatArray, elevation: FloatArray, alone: NDArray[np.bool_] | None = None
+    ) -> FloatArray:
+        """Return the variance of phases' noise [m^2]; ``alone``: of loops that lack aiding."""
         cn0 = 10.0 ** (cn0_dbhz / 10.0)
-        thermal = self.loop_bandwidth_hz / cn0 * (1.0 + 0.5 / (INTEGRATION * cn0))
+        lone = np.zeros(cn0.shape, np.bool_) if alone is None else alone
+        bandwidth = np.where(lone, self.fallback_bandwidth_hz, self.loop_bandwidth_hz)
+        thermal = bandwidth / cn0 * (1.0 + 0.5 / (INTEGRATION * cn0))
         floor = (self.phase_floor_sd / np.sin(elevation)) ** 2
         return np.asarray(WAVELENGTH_RAD**2 * thermal + floor)
 
@@ -91,7 +98,8 @@ class PhaseEpoch:
     north, up and clock add to it; ``slipped`` tells that a phase does not go on from the one
     before, ``lock_time`` for how long it has gone on [s]. ``code_less_phase`` [m] gives the
     codes' residuals: where the clock begins. ``lag`` is what discriminators say that the phases
-    lag behind, and its open-loop sigma [m]; None: nothing.
+    lag behind, and its open-loop sigma [m]; None: nothing. ``alone`` are loops that lack the
+    aiding that they ought to have, and are wider; None: none.
     """
 
     time: float
@@ -105,6 +113,7 @@ class PhaseEpoch:
     lock_time: FloatArray
     code_less_phase: FloatArray
     lag: tuple[FloatArray, FloatArray] | None = None
+    alone: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)
@@ -208,7 +217,7 @@ class PhaseDisplacement:
             The antenna does not move, as far as others than the phases know.
         """
         dt = self._drift(epoch)
-        model = self.config.variance(epoch.cn0_dbhz, epoch.elevation)
+        model = self.config.variance(epoch.cn0_dbhz, epoch.elevation, epoch.alone)
         noise = self.noise_level * model
         gap = epoch.time - self._seen[epoch.slot]
         self._broken[epoch.slot] |= epoch.slipped | (epoch.lock_time < gap - 0.5 * epoch.interval)

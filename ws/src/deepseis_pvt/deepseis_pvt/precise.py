@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deepseis_core.config import setting
 from deepseis_core.constants import L1_WAVELENGTH, NS_PER_S, NS_PER_WEEK
@@ -26,6 +27,7 @@ from deepseis_core.types import (
     Observations,
     PrecisePosition,
     PreciseStatus,
+    TrackingFlag,
 )
 from deepseis_pvt import phase_kernels as kernels
 from deepseis_pvt.ephemeris_book import EphemerisBook
@@ -214,6 +216,7 @@ class PhasePositions:
         slot, table = slot[high], table[high]
         design = np.ones((len(rows), 4))
         design[:, :CLOCK] = table[:, kernels.EAST :]
+        alone = without_aiding(o)[rows]
         epoch = PhaseEpoch(
             time=time,
             interval=o.interval,
@@ -224,10 +227,25 @@ class PhasePositions:
             cn0_dbhz=o.cn0_dbhz[rows].astype(np.float64),
             slipped=(o.lli[rows] & Lli.SLIP) != 0,
             lock_time=o.lock_time[rows].astype(np.float64),
-            lag=None if self.config.add_discriminator else lag_of(o, rows),
+            lag=self._lag(o, rows, alone),
             code_less_phase=o.pseudorange[rows] - o.carrier_phase_cycles[rows] * L1_WAVELENGTH,
+            alone=alone,
         )
         return epoch, [o.satellites[row] for row in rows]
+
+    def _lag(
+        self, o: Observations, rows: list[int], alone: NDArray[np.bool_]
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """Return lags that are still in the phases: of all loops, or of those without aiding."""
+        error, sd = lag_of(o, rows)
+        if not self.config.add_discriminator:
+            return error, sd
+        return (np.where(alone, error, 0.0), np.where(alone, sd, 0.0)) if alone.any() else None
+
+
+def without_aiding(o: Observations) -> NDArray[np.bool_]:
+    """Return whose loops lack the aiding that they ought to have."""
+    return np.asarray((o.flags & TrackingFlag.AID_MISSED) != 0)
 
 
 def lag_of(o: Observations, rows: list[int]) -> tuple[FloatArray, FloatArray]:
@@ -256,10 +274,13 @@ def with_discriminator(observations: Observations) -> Observations:
 
     The NCO's phase is the signal's behind the loop's filter, and in an aided loop the aiding's at
     all that is faster. With the discriminator's output it is the signal's alone, with the white
-    noise of an integration. The observation's sign is against the NCO's.
+    noise of an integration. The observation's sign is against the NCO's. A loop that runs without
+    its aiding is left as it is: its phase is its own, and the noise of its short integrations is
+    five times that of its filter.
     """
     o = observations
     error = np.nan_to_num(o.carrier_error_cycles.astype(np.float64))
+    error[without_aiding(o)] = 0.0
     return replace(o, carrier_phase_cycles=o.carrier_phase_cycles - error)
 
 

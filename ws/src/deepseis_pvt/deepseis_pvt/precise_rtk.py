@@ -14,7 +14,14 @@ from deepseis_core.constants import NS_PER_S, NS_PER_WEEK, SPEED_OF_LIGHT
 from deepseis_core.geodesy import geodetic_from_ecef, rotation_enu_ecef
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.miss_log import EVER
-from deepseis_core.types import Ephemeris, FloatArray, Observations, PrecisePosition, PreciseStatus
+from deepseis_core.types import (
+    Ephemeris,
+    FloatArray,
+    Observations,
+    PrecisePosition,
+    PreciseStatus,
+    TrackingFlag,
+)
 from deepseis_pvt.ephemeris_book import EphemerisBook
 from deepseis_pvt.phase_displacement import PhaseConfig
 from deepseis_pvt.precise import nothing
@@ -300,9 +307,9 @@ class RtkPositions:
         G = np.linalg.solve(A.T @ (A * weight[:, None]), (A * weight[:, None]).T)[:3]
         R = np.zeros(len(elevation))
         for receiver in (o, base):
-            level = dict(zip(receiver.satellites, receiver.cn0_dbhz.tolist(), strict=True))
-            cn0 = np.array([level[name] for name in solution.satellites])
-            R += self.phase.variance(cn0, elevation)
+            rows = [receiver.satellites.index(name) for name in solution.satellites]
+            alone = (receiver.flags[rows] & TrackingFlag.AID_MISSED) != 0
+            R += self.phase.variance(receiver.cn0_dbhz[rows].astype(np.float64), elevation, alone)
         aged = (CLOCK_STABILITY * SPEED_OF_LIGHT * solution.age) ** 2
         return np.asarray((G * R) @ G.T), np.asarray(aged * G @ G.T)
 

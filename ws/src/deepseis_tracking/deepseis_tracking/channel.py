@@ -28,7 +28,10 @@ from deepseis_tracking.replica import ReplicaBank
 
 MS_PER_WEEK = 604_800_000
 IDLE = int(TrackingMode.IDLE)
-_KEPT = ("carrier_phase", "pending_flags", "noise", "aid_held", "aid_failures", "aid_wait_s")
+_KEPT = (
+    *("carrier_phase", "pending_flags", "noise"),
+    *("aid_held", "aid_failures", "aid_wait_s", "fallback_count"),
+)
 """Of the state, from one signal to the next."""
 
 
@@ -42,6 +45,14 @@ class TrackingConfig:
     )
     aided_order: int = setting(2, "aided PLL order [-]", low=1, high=3)
     aided_bandwidth_hz: float = setting(8.0, "aided PLL noise bandwidth [Hz]", low=0.3, high=50)
+    fallback_ms: int = setting(
+        2, "integration while aiding that has been there is away; 0: no such loop [ms]",
+        low=0, high=20,
+    )  # fmt: skip
+    fallback_order: int = setting(3, "PLL order in that time [-]", low=1, high=3)
+    fallback_bandwidth_hz: float = setting(
+        50.0, "PLL noise bandwidth in that time [Hz]", low=0.5, high=100
+    )
     loop_design: str = setting(
         "realised",
         "bandwidth is that of the discrete loop, or the analog constants as printed [-]",
@@ -170,6 +181,12 @@ class Channel:
         n["aided_gains"] = gains(
             design_loop(config.aided_order, config.aided_bandwidth_hz, period, realised=realised)
         )
+        short = _fallback_periods(config)
+        n["fallback_periods"] = short
+        if short:
+            n["fallback_gains"] = gains(
+                design_loop(config.fallback_order, config.fallback_bandwidth_hz, short * 1e-3)
+            )
         n["dll_gain"] = design_loop(1, config.dll_bandwidth_hz, period).k1
         n["dll_fast_gain"] = design_loop(1, 4.0, 1e-3).k1
         n["lock_threshold"], n["unlock_threshold"] = config.lock_threshold, config.unlock_threshold
@@ -337,6 +354,12 @@ class Channel:
         self.ephemeris_count += 1
         delay = int(self.config.feedback_delay_ms * 1e-3 * self.sample_rate_hz)
         return [replace(event.ephemeris, effective_sample_index=end_sample + delay)]
+
+
+def _fallback_periods(config: TrackingConfig) -> int:
+    """Return the longest integration of `fallback` that divides a normal one [ms]."""
+    longest = min(config.fallback_ms, config.integration_ms)
+    return max((k for k in range(1, longest + 1) if config.integration_ms % k == 0), default=0)
 
 
 def _check(config: TrackingConfig) -> None:

@@ -15,9 +15,17 @@ from deepseis_core.constants import CA_LENGTH, CA_RATE_CPS, L1_HZ
 from deepseis_tracking.bit_sync import bits_in, clear_edge, resolve_bits, search_bit_edge
 from deepseis_tracking.correlator import CARRIER_GROUP, correlate_period
 from deepseis_tracking.discriminators import costas_atan, dll_envelope, frequency_error
+from deepseis_tracking.fallback import (
+    choose_design,
+    compare_aiding,
+    gather,
+    gathered,
+    integration_periods,
+)
 from deepseis_tracking.lock_detector import PERIOD_S, update_cn0, update_locks
 from deepseis_tracking.nco import choose_aiding, plan_nco, plan_without_aiding
 from deepseis_tracking.replica import MARGIN
+from deepseis_tracking.slip_detector import may_have_slipped
 
 IDLE, PULL_IN, BIT_SYNC, TRACK, TRACK_AIDED = 0, 1, 2, 3, 4
 CODE_LOCK, PHASE_LOCK, BIT_SYNCED, POLARITY_KNOWN, SLIP = 1, 2, 4, 8, 16
@@ -30,18 +38,6 @@ TRUSTED_S = 10.0
 """Aiding that has served so long has not failed "again" [s]."""
 SETTLED_S = 0.4
 """The aided loop begins with the conventional gains, until it has been locked so long [s]."""
-SLIP_MEAN_S = 0.02
-SLIP_CYCLES = 0.18
-"""Beyond that error it may be that of the next half cycle: the discriminator ends at 0.25."""
-FADED = 0.05
-"""Of the mean power: an integration with less has seen no signal, its error is noise."""
-SEEN = 60.0
-"""Mean power from which on noise alone does not make that of a signal that is there [-]."""
-SLIP_JUMP_CYCLES = 0.15
-"""Nor can it come in one step: 2 g at 2 Hz moves the error of 15 Hz by 0.035 in 20 ms. A slipping
-loop passes half a cycle in some steps."""
-SLIP_SIGMAS = 7.0
-"""Least jump in sigmas of one error, 5 of the difference: by noise once in ten hours [-]."""
 FAR_HZ = 12.0
 """Residual Doppler that a loop of 20 ms does not pull in."""
 CARRIER_TO_CODE = CA_RATE_CPS / L1_HZ
@@ -64,6 +60,7 @@ def filter_carrier(
 def _start_mode(state: Any, mode: int) -> None:
     state.mode = mode
     state.mode_epochs = 0
+    state.fallback = 0
     if mode == BIT_SYNC:
         state.bit_energy[:] = 0.0
     if mode == TRACK:
@@ -116,13 +113,6 @@ def _restart_tracking(state: Any, residual_hz: float) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _error_sigma(cn0_dbhz: float) -> float:
-    """Noise of the discriminator's mean over `SLIP_MEAN_S` [cycles] (arctangent, thesis 3.2)."""
-    power = 2.0 * SLIP_MEAN_S * 10.0 ** (cn0_dbhz / 10.0)
-    return math.sqrt((1.0 + 1.0 / power) / power) / (2.0 * math.pi)
-
-
-@njit(cache=True, nogil=True)
 def _after_integration(
     state: Any, config: Any, row: Any, sums: np.ndarray, shift: float, periods: int
 ) -> None:
@@ -146,16 +136,11 @@ def _after_integration(
         _note_lock(state, config, period)
         narrow = state.mode == TRACK_AIDED and state.narrow == 1
         gains = config.aided_gains if narrow else config.track_gains
+        if state.fallback == 1:
+            gains = config.fallback_gains
         filter_carrier(state, error, gains[0], gains[1], gains[2], period)
         state.code_slope = config.dll_gain * code_error
-        # A mean over 20 ms: shorter integrations are noisier than the limit.
-        before = state.mean_error
-        state.mean_error += min(1.0, period / SLIP_MEAN_S) * (error - before)
-        sigma = _error_sigma(state.cn0)
-        far = abs(state.mean_error) > max(SLIP_CYCLES, min(0.2, 5.5 * sigma))
-        jumped = abs(state.mean_error - before) > max(SLIP_JUMP_CYCLES, SLIP_SIGMAS * sigma)
-        faded = i * i + q * q - 2.0 < FADED * state.lock_den and state.lock_den > SEEN
-        if (far or jumped or faded) and state.phase_lock == 1:
+        if may_have_slipped(state, error, i * i + q * q - 2.0, period) and state.phase_lock == 1:
             state.pending_flags |= SLIP
     elif state.weak > 0:
         state.phase_lock = 0  # the phase turns: what looks like lock is none
@@ -184,7 +169,6 @@ def _after_integration(
     if state.polarity != 0:
         flags |= POLARITY_KNOWN
     row.flags = flags
-    state.mode_epochs += 1
 
 
 @njit(cache=True, nogil=True)
@@ -352,14 +336,15 @@ def advance(
     cosine, minus_sine = np.empty(CARRIER_GROUP, np.float32), np.empty(CARRIER_GROUP, np.float32)
     done = 0
     while state.mode != IDLE and done < out.shape[0]:
-        periods = config.periods if state.mode >= TRACK else 1
+        choose_design(state, config, aid, knots, rates)
+        periods = integration_periods(state, config)
         needed = int(periods * PERIOD_S * config.sample_rate) + 3
         if state.next_sample + needed > buffer_end or state.next_sample < buffer_start:
             break
         row = out[done]
         done += 1
         duration = periods * PERIOD_S
-        row.flags = 0
+        row.flags = AID_MISSED if state.fallback == 1 else 0
         use_aid = choose_aiding(state, config, row, aid, knots, rates)
         grown = 0.0
         if use_aid:
@@ -427,10 +412,20 @@ def advance(
         state.period_count += periods
         if state.transmit_ms >= 0:
             state.transmit_ms = (state.transmit_ms + periods) % 604_800_000
-        if state.mode >= TRACK:
-            update_cn0(state, prompts[:periods])
+        compare_aiding(
+            state, config, aid, knots, rates, row.sample_index, state.carrier_phase - phase0
+        )
         epoch = state.mode_epochs
+        if state.fallback == 1:
+            full = gather(state, config, prompts[:periods], first_period)
+            if full:
+                update_cn0(state, gathered(state, config))
+        else:
+            full = True
+            if state.mode >= TRACK:
+                update_cn0(state, prompts[:periods])
         _after_integration(state, config, row, sums, shift / periods, periods)
+        state.mode_epochs += 1 if full else 0
         if state.mode == PULL_IN and state.weak == 1:
             history[epoch % history.shape[0], 0] = row.prompt_i
             history[epoch % history.shape[0], 1] = row.prompt_q

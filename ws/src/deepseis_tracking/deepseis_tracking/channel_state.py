@@ -46,13 +46,21 @@ STATE = np.dtype(
         ("settled_s", "f8"),  # time in phase lock on end
         ("narrow", "i8"),  # 1: has settled with aiding, the aided loop's gains hold
         ("pull_in_aided", "i8"),  # 1: this pull-in uses aiding
+        ("fallback", "i8"),  # 1: short integrations, as the aiding is away (`fallback`)
+        ("fallback_count", "i8"),  # changes into that
+        ("agreed_s", "f8"),  # time that aiding has been compared with such a loop
+        ("agreed_cycles", "f8"),  # what it has lacked in it
+        ("piece_s", "f8"),  # the same, since the last mean was taken
+        ("piece_cycles", "f8"),
+        ("least_hz", "f8"),  # least and greatest mean of what it has lacked
+        ("most_hz", "f8"),
         ("clock_hz", "f8"),  # oscillator's part of the frequency beside aiding and loop
         ("reset_epoch", "i8"),  # number of the aid epoch, policy "reset"
         ("weak", "i8"),  # 1: pull in open-loop; 2: that has found Doppler and bits
         ("bit_sums", "i8"),  # sums in bit_energy, open-loop pull-in
         ("noise", "f8"),  # per component and sample, standard deviation
         ("bit_energy", "f8", (20,)),
-        ("recent_i", "f8", (20,)),
+        ("recent_i", "f8", (20,)),  # last 1 ms prompts: bit search, fallback
         ("recent_q", "f8", (20,)),
     ]
 )
@@ -69,6 +77,7 @@ CONFIG = np.dtype(
         ("fll_gain", "f8"),
         ("track_gains", "f8", (3,)),
         ("aided_gains", "f8", (3,)),
+        ("fallback_gains", "f8", (3,)),
         ("dll_fast_gain", "f8"),
         ("dll_gain", "f8"),
         ("lock_threshold", "f8"),
@@ -77,6 +86,7 @@ CONFIG = np.dtype(
         ("loss_dbhz", "f8"),
         ("loss_s", "f8"),
         ("periods", "i8"),  # code periods in a tracking integration
+        ("fallback_periods", "i8"),  # in one whose aiding is away; 0: the same
         ("relock_s", "f8"),  # 0: never
         ("weak_dbhz", "f8"),
         ("acceleration_form", "i8"),  # of aiding; 0: velocity form

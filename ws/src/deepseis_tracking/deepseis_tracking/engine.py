@@ -293,6 +293,8 @@ class TrackingEngine:
         values["lost"] = sum(c.lost for c in channels)
         dropped = {reason: sum(c.aid_dropped[reason] for c in channels) for reason in REASONS}
         values |= {f"aid_{reason}": count for reason, count in dropped.items()}
+        values["fallbacks"] = sum(int(c.state["fallback_count"]) for c in channels)
+        values["in_fallback"] = sum(int(c.state["fallback"]) for c in channels)
         values["polarity_turns"] = sum(c.polarity_turns for c in channels)
         values["subframes"] = sum(c.subframes for c in channels)
         values["subframes_failed"] = sum(c.decoder.failed_count for c in channels)

@@ -128,7 +128,7 @@ def choose_aiding(
         in_time = start + PERIOD_S * config.sample_rate - 2.0 <= aid.through
         state.pull_in_aided = 1 if covered and in_time and state.aid_held == 0 else 0
         return state.pull_in_aided == 1
-    if state.mode == TRACK and covered:
+    if state.mode == TRACK and covered and state.fallback == 0:
         settled = state.phase_lock == 1 and state.mode_epochs > 10 and state.aid_wait_s <= 0.0
         if settled or state.aid_held == 0:
             switch_on(state, config, aid, aid_at(start, aid, knots, rates, config.sample_rate))
