@@ -82,7 +82,7 @@ class Unit:
         )
 
 
-def started(unit, rng, *, smoothing=False):
+def started(unit, rng, *, smoothing=False, make=LooseFilter):
     """Return a filter in error as it is told, and when it starts; MEMS aligns first."""
     phi, r = ATTITUDE_SD * rng.standard_normal(3), POSITION_SD * rng.standard_normal(3)
     place = geodesy.geodetic_from_ecef(SITE.origin_ecef + C_NE.T @ r)
@@ -94,7 +94,7 @@ def started(unit, rng, *, smoothing=False):
         attitude = alignment.Alignment(quat, ATTITUDE_SD**2 * np.eye(3))
         bias = alignment.gyro_bias(mean, attitude, LAT, unit.grade)
         biases = {"gyro_bias": bias.value, "gyro_bias_sd": bias.sd}
-    loose = LooseFilter(
+    loose = make(
         LooseConfig(),
         unit.grade,
         NavState(*place, np.zeros(3), quat),
@@ -137,10 +137,12 @@ def ideal_increments(motion, seconds):
     return ImuSynthesizer(motion, SITE, float(RATE)).increments(0, RATE * seconds)
 
 
-def fly(unit, seconds, measurements, *, seed, rate_hz=1, every=1, smoothing=False):
+def fly(
+    unit, seconds, measurements, *, seed, rate_hz=1, every=1, smoothing=False, make=LooseFilter
+):
     """Run a filter; ``measurements(loose, time, C_reference, rng)`` says what it is told when."""
     rng = np.random.default_rng([seed, 7])
-    loose, start = started(unit, rng, smoothing=smoothing)
+    loose, start = started(unit, rng, smoothing=smoothing, make=make)
     run, C_ref = Run(loose), rotation.matrix_from_quat(loose.nav.quat_nb)
     step = RATE // rate_hz
     for first in range(round(start * RATE), seconds * RATE, step):

@@ -79,6 +79,8 @@ class DelayedFilter:
 
     holds_angle = True
     """Whether zero turn is a constraint at rest."""
+    holds_place = True
+    """Whether zero displacement is one, and the place of a rest that of the filter's positions."""
 
     def __init__(
         self,
@@ -292,7 +294,8 @@ class DelayedFilter:
             if self.place_n is None:
                 self.place_n = np.zeros((3, 3))
             else:
-                self.place_n = self.beside() + self.filter.P[POS, POS]
+                own = self.filter.P[POS, POS] if self.holds_place else 0.0
+                self.place_n = self.beside() + own
             self.offsets = self.offsets.followed_none()
             self.rest = Rest(self.antenna_ecef(), self._refer())
         elif not still:
@@ -309,15 +312,14 @@ class DelayedFilter:
     def _constrain(self) -> None:
         assert self.rest is not None
         config, rest, nav = self.config, self.rest, self.filter.nav
-        place = config.still_position_sd**2 * np.eye(3)
         update = self.gnss.update
         update(measurements.zero_velocity(nav, config.still_velocity_sd))
         if self.holds_angle:
             angle_sd = np.radians(config.still_angle_sd_deg)
             update(measurements.zero_angle(self.filter.nav, rest.C_nb, angle_sd))
-        update(
-            measurements.gnss_position(self.filter.nav, rest.antenna_ecef, place, self.lever_arm_b)
-        )
+        if self.holds_place:
+            at, place = rest.antenna_ecef, config.still_position_sd**2 * np.eye(3)
+            update(measurements.gnss_position(self.filter.nav, at, place, self.lever_arm_b))
         self._counts["constraints"] += 1
 
     def _measured(self, epoch: Epoch, *, still: bool) -> GnssUpdate | None:

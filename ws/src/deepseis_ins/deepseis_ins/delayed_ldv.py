@@ -18,23 +18,34 @@ from typing import Any, Final
 import numpy as np
 
 from deepseis_core.rotation import euler_from_matrix, flu_from_frd, matrix_from_quat
-from deepseis_core.types import FloatArray, LdvVelocity
+from deepseis_core.types import FloatArray, LdvVelocity, Pvt
 from deepseis_ins.delayed_filter import DelayedFilter
-from deepseis_ins.ldv import LdvInstallation, LdvRecord, LdvWindow, ldv_velocity
-from deepseis_ins.ldv_fusion import LdvFusionConfig, LeverSums, three
+from deepseis_ins.filter_steps import GnssUpdate
+from deepseis_ins.gnss_epochs import Epoch, PreciseEpoch
+from deepseis_ins.gnss_offset import GnssOffsets
+from deepseis_ins.gnss_updates import GnssUpdates
+from deepseis_ins.ldv import (
+    LdvInstallation,
+    LdvRecord,
+    LdvWindow,
+    ldv_velocity,
+    lever_sensitivity,
+)
+from deepseis_ins.ldv_filter import (
+    LEVER,
+    POSITION_OFF,
+    VELOCITY_OFF,
+    LdvFilter,
+    of_gnss,
+    sensitive,
+)
+from deepseis_ins.ldv_fusion import LdvFusionConfig, three
 from deepseis_ins.ldv_kernels import window_kernel
+from deepseis_ins.measurements import Measurement, gnss_position, gnss_velocity
 from deepseis_ins.strapdown import NavState
 
 SEEN_S: Final = 0.5
 """What the velocimeter measured so long before a step tells whether it is a rest [s]."""
-
-
-@dataclass(frozen=True)
-class LdvState:
-    """What is known of the installation: kept of every step."""
-
-    installation: LdvInstallation
-    lever: LeverSums
 
 
 @dataclass(frozen=True)
@@ -46,29 +57,53 @@ class _Usable:
     variance: FloatArray
 
 
+class SlowGnssUpdates(GnssUpdates):
+    """Works epochs of GNSS into a filter that has the slow errors of PVT as states."""
+
+    def _position(
+        self, offsets: GnssOffsets, pvt: Pvt, moved: FloatArray, dt: float
+    ) -> Measurement:
+        value, nav = pvt.position_ecef - moved, self.filter.nav
+        fix = offsets.position.take_off(value, pvt.position_covariance_ecef, dt)
+        position = gnss_position(nav, fix.value, fix.covariance, self.lever_arm_b)
+        return of_gnss(position, POSITION_OFF)
+
+    def _velocity(
+        self, offsets: GnssOffsets, pvt: Pvt, gained: FloatArray, dt: float
+    ) -> Measurement:
+        value, nav = pvt.velocity_ecef - gained, self.filter.nav
+        fix = offsets.velocity.take_off(value, pvt.velocity_covariance_ecef, dt)
+        rate_b, lever = self.filter.omega_ib_b, self.lever_arm_b
+        velocity = gnss_velocity(nav, rate_b, fix.value, fix.covariance, lever)
+        return of_gnss(velocity, VELOCITY_OFF)
+
+
 class LdvDelayedFilter(DelayedFilter):
     """Works through steps, with what the velocimeter measured between them.
 
     Parameters
     ----------
     given
-        As `DelayedFilter`'s.
+        As `DelayedFilter`'s; the filter is a `LdvFilter`.
     ldv : LdvFusionConfig
     """
 
+    filter: LdvFilter
     holds_angle = False
+    holds_place = False
 
     def __init__(self, *given: Any, ldv: LdvFusionConfig) -> None:
-        self.ldv_config, installation = ldv, ldv.installation()
+        self.ldv_config, self.installation = ldv, ldv.installation()
         self.no_slip_arm_b = flu_from_frd(three("ldv_no_slip_arm", ldv.ldv_no_slip_arm))
-        lever = LeverSums(ldv.ldv_lever_sd**2 * np.eye(3))
-        self.ldv = LdvState(installation, lever)
         self._measurements: list[_Usable] = []
         self._ldv_counts = dict.fromkeys(("ldv", "ldv_unusable", "ldv_windows"), 0)
         self._before: tuple[int, NavState] | None = None
         filter = given[1]
-        filter.refer_constants(installation.sd)
+        filter.refer_constants(self.installation.sd)
         super().__init__(*given)
+        self.gnss = SlowGnssUpdates(
+            self.config, filter, self.history, self.lever_arm_b, self.sample_rate_hz
+        )
 
     @property
     def counts(self) -> dict[str, int]:
@@ -77,7 +112,7 @@ class LdvDelayedFilter(DelayedFilter):
 
     def report(self) -> dict[str, object]:
         """Return the installation as settings have it (axes forward, left, up)."""
-        installation, lever = self.ldv.installation, self.ldv.lever
+        installation = self.installation
         roll, pitch, yaw = np.degrees(euler_from_matrix(installation.C_bd))
         sd = self.filter.constants_sd()
         return {
@@ -86,7 +121,7 @@ class LdvDelayedFilter(DelayedFilter):
             "ldv_orientation_deg": f"{roll:.5f} {-pitch:.5f} {-yaw:.5f}",
             "ldv_angle_sd_deg": " ".join(f"{v:.5f}" for v in np.degrees(sd[1:])),
             "ldv_lever_arm": " ".join(f"{v:.4f}" for v in flu_from_frd(installation.lever_arm_b)),
-            "ldv_lever_sd": " ".join(f"{v:.4f}" for v in lever.sd),
+            "ldv_lever_sd": " ".join(f"{v:.4f}" for v in self.filter.lever_sd),
         }
 
     def push_ldv(self, value: LdvVelocity) -> None:
@@ -114,11 +149,11 @@ class LdvDelayedFilter(DelayedFilter):
 
     # Work
 
-    def _kept(self) -> LdvState:
-        return self.ldv
+    def _kept(self) -> LdvInstallation:
+        return self.installation
 
     def _put_back(self, kept: Any) -> None:
-        self.ldv = kept
+        self.installation = kept
 
     def _carry(self, row: int) -> None:
         self._before = (self.row + 1, self.filter.nav) if row > self.row else None
@@ -133,6 +168,14 @@ class LdvDelayedFilter(DelayedFilter):
 
     def _refer(self) -> FloatArray:
         return matrix_from_quat(self.nav.quat_nb)
+
+    def _measured(self, epoch: Epoch, *, still: bool) -> GnssUpdate | None:
+        """Use a position of PVT at rest as well: its slow errors are learnt by the filter."""
+        if isinstance(epoch, PreciseEpoch):
+            return super()._measured(epoch, still=still)
+        dt = self._interval_before(self._pvts, epoch)
+        used = self.gnss.use(self.offsets, epoch, self.row, dt)
+        return None if still else used.update
 
     def _between(self, begin: int, end: int) -> list[_Usable]:
         """Return measurements after a sample, up to another."""
@@ -152,16 +195,17 @@ class LdvDelayedFilter(DelayedFilter):
         window, turn_b = self._window(first, before, begin, seen)
         nav, length = self.nav, (self.row + 1 - first) * history.dt
         C_nb = matrix_from_quat(nav.quat_nb)
-        residual_b = C_nb.T @ (window.predicted_n - window.measured_n)
-        self.gnss.update(
-            ldv_velocity(
-                window, C_nb, self.filter.omega_ib_b, nav.latitude, self.ldv.installation,
-                self.ldv_config.use(length),
-            )
+        measurement = ldv_velocity(
+            window, C_nb, self.filter.omega_ib_b, nav.latitude, self.installation,
+            self.ldv_config.use(length),
         )  # fmt: skip
-        error, _ = self.filter.take_constants()
+        swing = lever_sensitivity(C_nb, turn_b, nav.latitude)
+        self.gnss.update(sensitive(measurement, LEVER, swing))
         self._ldv_counts["ldv_windows"] += 1
-        self._learn(self.ldv.installation.corrected(error), residual_b, turn_b, first)
+        error, _ = self.filter.take_constants()
+        known = self.installation.corrected(error)
+        arm = known.lever_arm_b - self.filter.take_lever()
+        self.installation = replace(known, lever_arm_b=arm)
 
     def _window(
         self, first: int, before: NavState, begin: int, seen: list[_Usable]
@@ -181,30 +225,14 @@ class LdvDelayedFilter(DelayedFilter):
             np.vstack([omega[:1], omega]),
             before.latitude,
             np.array([m.sample_index - begin for m in seen]) / self.sample_rate_hz,
-            self.ldv.installation.velocity_b(velocity),
-            np.stack([self.ldv.installation.lever_arm_b, self.no_slip_arm_b]),
+            self.installation.velocity_b(velocity),
+            np.stack([self.installation.lever_arm_b, self.no_slip_arm_b]),
             own,
             predicted,
             measured,
         )
         variance = np.mean([m.variance for m in seen], axis=0) / len(seen)
         return LdvWindow(len(seen), predicted, measured, variance), omega.mean(axis=0)
-
-    def _learn(
-        self,
-        installation: LdvInstallation,
-        residual_b: FloatArray,
-        turn_b: FloatArray,
-        first: int,
-    ) -> None:
-        """Sum up what tells the lever arm, and correct it when that is enough."""
-        lever = self.ldv.lever
-        if lever.covariance.any():
-            lever = lever.add(residual_b, turn_b, first, self.row)
-            error, lever = lever.solved(self.ldv_config.ldv_lever_windows)
-            arm = installation.lever_arm_b - error
-            installation = replace(installation, lever_arm_b=arm)
-        self.ldv = LdvState(installation, lever)
 
     def _forget(self, horizon: int) -> None:
         super()._forget(horizon)

@@ -119,26 +119,34 @@ class GnssUpdates:
         """Use a position of PVT, unless there are precise ones."""
         if offsets.kind and pvt.sample_index - offsets.used_at <= self.hold:
             return Used(None, offsets)
-        seconds = pvt.sample_index / self.sample_rate_hz
         moved, gained = self._change_after(row, pvt.sample_index)
-        fix = offsets.position.correct(
-            seconds, pvt.position_ecef - moved, pvt.position_covariance_ecef, dt
-        )
-        filter, lever = self.filter, self.lever_arm_b
-        position = self.update(
-            measurements.gnss_position(filter.nav, fix.value, fix.covariance, lever)
-        )
+        position = self.update(self._position(offsets, pvt, moved, dt))
         velocity = None
         if has_velocity(pvt):
-            fix = offsets.velocity.correct(
-                seconds, pvt.velocity_ecef - gained, pvt.velocity_covariance_ecef, dt
-            )
-            measurement = measurements.gnss_velocity(
-                filter.nav, filter.omega_ib_b, fix.value, fix.covariance, lever
-            )
-            velocity = self.update(measurement)
+            velocity = self.update(self._velocity(offsets, pvt, gained, dt))
         self.counts["updates"] += 1
         return Used(GnssUpdate(pvt.sample_index, (position, velocity)), offsets)
+
+    def _position(
+        self, offsets: GnssOffsets, pvt: Pvt, moved: FloatArray, dt: float
+    ) -> Measurement:
+        """Return a position without its slow error, where the filter stands."""
+        seconds, value = pvt.sample_index / self.sample_rate_hz, pvt.position_ecef - moved
+        fix = offsets.position.correct(seconds, value, pvt.position_covariance_ecef, dt)
+        return measurements.gnss_position(
+            self.filter.nav, fix.value, fix.covariance, self.lever_arm_b
+        )
+
+    def _velocity(
+        self, offsets: GnssOffsets, pvt: Pvt, gained: FloatArray, dt: float
+    ) -> Measurement:
+        """Return a velocity without its slow error, when the filter stands."""
+        seconds, value = pvt.sample_index / self.sample_rate_hz, pvt.velocity_ecef - gained
+        fix = offsets.velocity.correct(seconds, value, pvt.velocity_covariance_ecef, dt)
+        filter, lever = self.filter, self.lever_arm_b
+        return measurements.gnss_velocity(
+            filter.nav, filter.omega_ib_b, fix.value, fix.covariance, lever
+        )
 
     def follows_rtk(self, offsets: GnssOffsets, sample_index: int) -> bool:
         """Whether positions against a base have been used up to a moment ago."""

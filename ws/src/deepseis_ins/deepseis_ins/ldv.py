@@ -244,3 +244,21 @@ def ldv_velocity(
     C_nd = C_nb @ installation.C_bd
     z = window.predicted_n - measured_n
     return Measurement(z, H, C_nd @ R_d @ C_nd.T, NAME, VEL, D)
+
+
+def lever_sensitivity(C_nb: FloatArray, omega_b: FloatArray, latitude: float) -> FloatArray:
+    """Return that of `ldv_velocity` to the lever arm's error, shape (3, 3), body to n.
+
+    The sensor swings by ``omega x l``. Sideways nothing is measured: there the same lever arm
+    leads back to the point that does not slip.
+
+    Parameters
+    ----------
+    C_nb : ndarray, shape (3, 3)
+    omega_b : ndarray, shape (3,)
+        Angular rate without bias, mean of the window [rad/s].
+    latitude : float
+        [rad]
+    """
+    over_ground = omega_b - C_nb.T @ earth_rate(latitude)
+    return np.asarray((C_nb * [1.0, 0.0, 1.0]) @ skew(over_ground))

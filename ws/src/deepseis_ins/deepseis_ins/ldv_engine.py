@@ -17,6 +17,8 @@ from deepseis_ins.delayed_ldv import LdvDelayedFilter
 from deepseis_ins.filter_steps import GnssUpdate
 from deepseis_ins.fusion_engine import FusionEngine
 from deepseis_ins.fusion_output import FusionOutput
+from deepseis_ins.gnss_offset import UNKNOWN_SD
+from deepseis_ins.ldv_filter import LdvFilter, Unknowns
 from deepseis_ins.ldv_fusion import LdvFusionConfig
 from deepseis_ins.loose import LooseFilter
 
@@ -71,6 +73,12 @@ class LdvFusionEngine(FusionEngine):
         if self.delayed is not None:
             for value in due:
                 self.delayed.push_ldv(value)
+
+    def _make_filter(self, *arguments: Any, **keywords: Any) -> LooseFilter:
+        c = self.config
+        sd = UNKNOWN_SD, c.velocity_offset_sd, self.ldv_config.ldv_lever_sd
+        unknowns = Unknowns(sd, (c.position_growth, c.velocity_growth))
+        return LdvFilter(*arguments, unknowns=unknowns, **keywords)
 
     def _make_delayed(self, filter: LooseFilter, row: int) -> DelayedFilter:
         return LdvDelayedFilter(

@@ -1,13 +1,8 @@
-"""Settings of the fusion with a velocimeter (coupling ``ldv``), and its lever arm as time goes on.
-
-The lever arm shows in steps of the residual from one window to the next (`ldv_calibration`). Here
-their normal equations are summed up while the vehicle moves; each sum of some hundred windows is a
-measurement of what is wrong with the lever arm, worked into it by its weight.
-"""
+"""Settings of the fusion with a velocimeter (coupling ``ldv``)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -20,7 +15,6 @@ from deepseis_ins.ldv import LdvConfig, LdvInstallation
 
 WINDOW_S: Final = 0.2
 """To which the settings of noise refer [s]."""
-_WORST_CONDITION: Final = 1e8
 
 
 @dataclass(frozen=True)
@@ -49,9 +43,6 @@ class LdvFusionConfig:
     )
     ldv_lever_arm: list[float] = setting([0.0, 0.0, 0.0], "from the IMU to the sensor [m]")
     ldv_lever_sd: float = setting(0.1, "of that; 0: exact [m]", low=0.0, high=10.0)
-    ldv_lever_windows: int = setting(
-        1500, "windows from which a part of the lever arm is told", low=100
-    )
     ldv_no_slip_arm: list[float] = setting(
         [0.0, 0.0, 0.0], "from the IMU to the point that does not slip sideways [m]"
     )
@@ -91,83 +82,3 @@ def three(name: str, values: list[float]) -> FloatArray:
     if array.shape != (3,) or not np.isfinite(array).all():
         raise InputError(name, f"is {values}, not three numbers")
     return array
-
-
-def _zeros() -> FloatArray:
-    return np.zeros(3)
-
-
-def _square() -> FloatArray:
-    return np.zeros((3, 3))
-
-
-@dataclass(frozen=True)
-class LeverSums:
-    """Normal equations of the lever arm's error, and what is known of it (frozen).
-
-    Attributes
-    ----------
-    covariance : ndarray, shape (3, 3)
-        Of the lever arm, forward-right-down [m^2]; zeros: it is exact.
-    normal, right : ndarray, shapes (3, 3), (3,)
-    squares : float
-        Sum of the squares of the steps.
-    count : int
-        Windows in the sums.
-    residual, turn : ndarray, shape (3,)
-        Of the window before [m/s, rad/s].
-    row : int
-        Row of increments at whose end that window ended; -1: none.
-    """
-
-    covariance: FloatArray = field(default_factory=_square)
-    normal: FloatArray = field(default_factory=_square)
-    right: FloatArray = field(default_factory=_zeros)
-    squares: float = 0.0
-    count: int = 0
-    residual: FloatArray = field(default_factory=_zeros)
-    turn: FloatArray = field(default_factory=_zeros)
-    row: int = -1
-
-    @property
-    def sd(self) -> FloatArray:
-        """Standard deviations of the lever arm, shape (3,) [m]."""
-        return np.sqrt(np.diag(self.covariance))
-
-    def add(self, residual: FloatArray, turn: FloatArray, first: int, row: int) -> LeverSums:
-        """Return the same with a window of rows ``first`` to ``row``.
-
-        Parameters
-        ----------
-        residual, turn : ndarray, shape (3,)
-            Predicted less measured velocity, mean angular rate, body axes.
-        """
-        here = replace(self, residual=residual, turn=turn, row=row)
-        if self.row < 0 or first != self.row + 1:
-            return here
-        p, q, r = turn - self.turn
-        step = (residual - self.residual)[[0, 2]]
-        design = np.array([[0.0, -r, q], [-q, p, 0.0]])
-        return replace(
-            here,
-            normal=self.normal + design.T @ design,
-            right=self.right + design.T @ step,
-            squares=self.squares + float(step @ step),
-            count=self.count + 1,
-        )
-
-    def solved(self, windows: int) -> tuple[FloatArray, LeverSums]:
-        """Return by what the lever arm is wrong, shape (3,), and sums that begin anew.
-
-        Zero, and the same sums, as long as there are not enough windows or the vehicle has not
-        turned enough.
-        """
-        if self.count < windows or not np.linalg.cond(self.normal) < _WORST_CONDITION:
-            return np.zeros(3), self
-        error = np.linalg.solve(self.normal, self.right)
-        variance = (self.squares - float(error @ self.right)) / (2 * self.count - 3)
-        R = max(variance, 1e-12) * np.linalg.inv(self.normal)
-        gain = self.covariance @ np.linalg.inv(self.covariance + R)
-        P = self.covariance - gain @ self.covariance
-        again = LeverSums(0.5 * (P + P.T), residual=self.residual, turn=self.turn, row=self.row)
-        return gain @ error, again

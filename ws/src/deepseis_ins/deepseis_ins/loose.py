@@ -227,7 +227,7 @@ class LooseFilter:
         recovered = m.recovers and rejected >= self.config.rejections_before_recovery
         self._rejected[m.name] = 0 if recovered else rejected
         if recovered:
-            diagonal = np.arange(STATES)[m.states]
+            diagonal = np.arange(len(P))[m.states]
             P[diagonal, diagonal] += z**2
             innovation_kernel(P, H, m.R, z, PHt, S)
             self._has_moved()
@@ -385,7 +385,8 @@ class LooseFilter:
 
     def _joined(self) -> FloatArray:
         """Return the covariance of states and constants together, shape (36, 36)."""
-        P = np.empty((STATES + CONSTANTS, STATES + CONSTANTS))
+        n = STATES + len(self._B)
+        P = np.empty((n, n))
         P[:STATES, :STATES], P[:STATES, STATES:] = self._P, self._U
         P[STATES:, :STATES], P[STATES:, STATES:] = self._U.T, self._B
         return P
