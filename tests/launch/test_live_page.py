@@ -107,8 +107,9 @@ class OnTopics:
         self.say("seismo/event", codecs.SEISMIC_EVENT, qos.LATCHED, value, utc_ns)
 
     def take_diagnostic(self, name, level, text, values):
-        data = diagnostics.encoded(name, bytes([level]), text, values, 0)
-        self.publisher("/diagnostics", DiagnosticArray, qos.STREAM).publish(data)
+        said = self.publisher("/diagnostics", DiagnosticArray, qos.STREAM)
+        for station, who in (("/DSEI", name), ("/KOBE", "of_another_station")):
+            said.publish(diagnostics.encoded(who, bytes([level]), text, values, 0, station))
 
 
 def test_what_a_graph_says_is_on_the_page():
@@ -136,7 +137,9 @@ def test_what_a_graph_says_is_on_the_page():
     assert found["filter"]["accepted"] > 0
     assert found["sigmas"]["rate_hz"] == 200.0
     assert found["motion"]["state"] == "moving"
-    assert {item["name"] for item in found["diagnostics"]} >= {"fusion", "pvt"}
+    names = {item["name"] for item in found["diagnostics"]}
+    assert names >= {"fusion", "pvt"}
+    assert "of_another_station" not in names
 
 
 @pytest.mark.slow

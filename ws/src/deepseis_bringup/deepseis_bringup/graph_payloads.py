@@ -13,7 +13,7 @@ from deepseis_core.mcap_scan import McapScan
 from deepseis_frontend.if_bag import mcap_files
 
 
-def run_graph(config: GraphConfig, folder: Path) -> dict[str, list[bytes]]:
+def run_graph(config: GraphConfig, folder: Path, *, namespace: str = "") -> dict[str, list[bytes]]:
     """Run a graph in lockstep, all but the samples recorded.
 
     Parameters
@@ -22,6 +22,8 @@ def run_graph(config: GraphConfig, folder: Path) -> dict[str, list[bytes]]:
         What to run; where it records is set here.
     folder : Path
         Made new; gets the bag.
+    namespace : str
+        The station's name, or empty.
 
     Returns
     -------
@@ -42,9 +44,14 @@ def run_graph(config: GraphConfig, folder: Path) -> dict[str, list[bytes]]:
         watched=True,
     )
     with own_domain() as environment:
-        supervisor = Supervisor(build_graph(here), folder, environment=environment)
+        supervisor = Supervisor(
+            build_graph(here), folder, namespace=namespace, environment=environment
+        )
         members = [spec.name for spec in supervisor.specs if spec.name != "if_source"]
-        with running(supervisor), GraphWatch(environment, members=members) as watch:
+        with (
+            running(supervisor),
+            GraphWatch(environment, namespace, members=members) as watch,
+        ):
 
             def poll() -> None:
                 watch.poll()

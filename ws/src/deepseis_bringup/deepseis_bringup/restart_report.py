@@ -62,5 +62,5 @@ class RestartReport:
         for name, fate in restarts.fates.items():
             values[f"restarts_{name}"] = fate.restarts
             values[f"away_s_{name}"] = f"{fate.away_s:.2f}"
-        text = restarts.text()
-        self.publisher.publish(diagnostics.encoded(NAME, level, text, values, utc_ns))
+        text, station = restarts.text(), self.node.get_namespace()
+        self.publisher.publish(diagnostics.encoded(NAME, level, text, values, utc_ns, station))

@@ -29,6 +29,7 @@ from deepseis_core.rinex_nav import write_whole
 from deepseis_core.ros import diagnostics, qos
 from deepseis_core.ros.convert import ns_from_stamp
 from deepseis_core.ros.steady import every
+from deepseis_core.status_names import is_of, node_of
 from deepseis_msgs.msg import SeismicEvent, Watermark
 
 DISCOVERY_SECONDS = 1.0
@@ -67,11 +68,13 @@ class StationWatch(GraphWatch):
             onset = ns_from_stamp(msg.onset)
             alerts.push({**values, "onset_utc_ns": onset})
 
+        station = self.node.get_namespace()
+
         def report() -> None:
             level = diagnostics.WARN if alerts.failed else diagnostics.OK
             text = "alerts were not delivered" if alerts.failed else "ready"
             said.publish(
-                diagnostics.array("alert", level, text, alerts.counters(), time.time_ns())
+                diagnostics.array("alert", level, text, alerts.counters(), time.time_ns(), station)
             )
 
         self.node.create_subscription(SeismicEvent, "seismo/event", on_event, qos.LATCHED)
@@ -86,7 +89,9 @@ class StationWatch(GraphWatch):
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
-            name = status.hardware_id
+            if not is_of(status.name, self.node.get_namespace()):
+                continue
+            name = node_of(status)
             level, before = bytes(status.level), self.levels.get(name, b"\0")
             self.texts[name], self.levels[name] = status.message, level
             if level > before:

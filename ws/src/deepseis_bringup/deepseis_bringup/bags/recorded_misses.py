@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from deepseis_core.mcap_scan import Channel, McapScan
+from deepseis_core.status_names import node_of
 from deepseis_frontend.if_bag import bag_files
 
 SUFFIX: Final = " misses"
@@ -76,4 +77,4 @@ def _statuses(data: bytes) -> list[tuple[str, dict[str, str]]]:
     from rclpy.serialization import deserialize_message
 
     msg: Any = deserialize_message(data, DiagnosticArray)
-    return [(s.hardware_id, {pair.key: pair.value for pair in s.values}) for s in msg.status]
+    return [(node_of(s), {pair.key: pair.value for pair in s.values}) for s in msg.status]

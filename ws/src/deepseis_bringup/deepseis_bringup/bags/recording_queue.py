@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from typing import Final
 
+from deepseis_core.status_names import OURS
+
 SATELLITE: Final = re.compile(r"[A-Z]\d\d")
 
 
@@ -57,7 +59,8 @@ def event_span(cdr: bytes) -> tuple[int, int]:
 def speaker_of(cdr: bytes, members: Container[str]) -> str:
     """Name the flow member that published a diagnostic, an ephemeris or a request.
 
-    Diagnostics carry its name ("deepseis: pvt"), the others their satellite's.
+    Diagnostics carry its name ("deepseis: pvt", "deepseis: KOBE/pvt"), the others their
+    satellite's.
     """
     at = _behind_text(12, cdr)
     (count,) = struct.unpack_from("<I", cdr, at)
@@ -65,7 +68,13 @@ def speaker_of(cdr: bytes, members: Container[str]) -> str:
     if text.startswith("G") and count == 4:
         own = f"trackers_{text.lower()}"
         return own if own in members else "trackers"
-    return _text(cdr, at + 8).removeprefix("deepseis: ")  # behind the count and the level
+    return status_name(cdr).removeprefix(OURS).rpartition("/")[2]
+
+
+def status_name(cdr: bytes) -> str:
+    """Return the name of a diagnostic's first status."""
+    # Behind the count and the level.
+    return _text(cdr, _behind_text(12, cdr) + 8)
 
 
 def _behind_text(at: int, cdr: bytes) -> int:

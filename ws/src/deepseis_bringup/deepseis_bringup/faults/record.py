@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from deepseis_core.mcap_scan import McapScan
 from deepseis_core.ros import codecs
+from deepseis_core.status_names import node_of
 from deepseis_core.types import (
     Aiding,
     Displacement,
@@ -192,7 +193,7 @@ def statuses(messages: Iterable[bytes], start_utc_ns: int) -> list[Said]:
         array = deserialize_message(data, DiagnosticArray)
         stamp = array.header.stamp.sec * 10**9 + array.header.stamp.nanosec
         for item in array.status:
-            name = item.hardware_id or item.name
+            name = node_of(item)
             level = bytes(item.level)[0]
             found.append(Said((stamp - start_utc_ns) * 1e-9, name, level, item.message))
     return found

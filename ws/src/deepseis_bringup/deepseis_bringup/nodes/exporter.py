@@ -73,6 +73,7 @@ class ExporterNode(Node):
         self.create_subscription(InsSolution, "ins/solution", self.on_solution, DEEP, raw=True)
         subscribe(self, codecs.DISPLACEMENT, "seismo/displacement", self.on_motion, DEEP)
         self.create_subscription(Imu, "imu/data_raw", self.on_imu, DEEP, raw=True)
+        diagnostics.of_station(self.get_namespace())
         self.diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.STREAM)
         every(self, 1.0, self.report)
 

@@ -19,6 +19,7 @@ from deepseis_bringup.bags.recording_queue import (
     if_block_end,
     speaker_of,
     stamp_of_cdr,
+    status_name,
 )
 from deepseis_bringup.bags.ros_definitions import TopicQos
 from deepseis_core.config import setting
@@ -30,6 +31,7 @@ from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.ros.steady import every
+from deepseis_core.status_names import is_of
 from deepseis_msgs.msg import Watermark
 
 LEVELS = (diagnostics.OK, diagnostics.WARN, diagnostics.ERROR)
@@ -99,9 +101,12 @@ class RecorderNode(Node):
         self.writer.add_topic(name, type_name, offered)
         self.types[name] = type_name
         is_if, is_event = topic == "if/samples", topic.endswith("seismo/event")
+        is_common, space = topic == "/diagnostics", self.get_namespace()
 
         def on_bytes(cdr: bytes, _info: Any = None) -> None:
             stamp_ns = stamp_of_cdr(cdr)
+            if is_common and not is_of(status_name(cdr), space):
+                return
             if shared:
                 member = speaker_of(cdr, self.order.members)
                 self.order.push(name, member, stamp_ns, cdr)

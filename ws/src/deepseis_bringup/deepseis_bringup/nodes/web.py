@@ -19,6 +19,7 @@ from deepseis_core.ros import codecs, qos
 from deepseis_core.ros.cdr import Codec
 from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
+from deepseis_core.status_names import is_of, node_of
 from deepseis_msgs.msg import Watermark
 
 EVERY = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -157,8 +158,9 @@ class WebNode(Node):
         """Take statuses."""
         for status in msg.status:
             values = {pair.key: pair.value for pair in status.values}
-            name = status.hardware_id or status.name
-            self.model.take_diagnostic(name, status.level[0], status.message, values)
+            if is_of(status.name, self.get_namespace()):
+                name = node_of(status)
+                self.model.take_diagnostic(name, status.level[0], status.message, values)
 
     def close(self) -> None:
         """End the page."""

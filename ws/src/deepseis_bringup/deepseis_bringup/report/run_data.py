@@ -20,6 +20,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from deepseis_bringup.report.run_columns import ColumnBuilder, Columns
 from deepseis_core.errors import InputError
 from deepseis_core.mcap_scan import Channel, McapScan, Message
+from deepseis_core.status_names import node_of
 from deepseis_core.types import Ephemeris
 from deepseis_frontend.if_bag import TYPE_NAME as IF_TYPE
 from deepseis_frontend.if_bag import bag_files, decode_if_block
@@ -280,7 +281,7 @@ class _Reader:
         """Take the states of the nodes."""
         for status in message.status:
             values = {item.key: item.value for item in status.values}
-            node = status.hardware_id or status.name
+            node = node_of(status)
             self.run.diagnostics.append(
                 Status(_stamp(message), node, int(status.level), status.message, values)
             )

@@ -10,6 +10,7 @@ comes before it is ready, and begins with the first sample after that (`Flow.ent
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from rclpy.node import Node
 from deepseis_core.config import setting
 from deepseis_core.interface import SHARED_TOPICS
 from deepseis_core.miss_log import MissScript
-from deepseis_core.ros import qos
+from deepseis_core.ros import diagnostics, qos
 from deepseis_core.ros.convert import stamp_from_ns
 from deepseis_core.ros.main import Process
 from deepseis_core.ros.steady import every
@@ -57,6 +58,7 @@ class Flow:
 
     def __init__(self, node: Node, process: Process, name: str, config: FlowConfig) -> None:
         self.node, self.process, self.name, self.config = node, process, name, config
+        diagnostics.of_station(node.get_namespace())
         self.script = MissScript(config.misses if config.mode == "lockstep" else ())
         self.publisher = node.create_publisher(Watermark, f"flow/{name}", qos.STREAM_LATCHED)
         self.publishers: dict[str, Any] = {}
@@ -147,9 +149,18 @@ class Flow:
         for entry in self.config.expected_subscribers:
             topic, _, count = entry.rpartition("=")
             for publisher in self.publishers.get(topic, []):
-                if publisher.get_subscription_count() < int(count):
+                readers = min(publisher.get_subscription_count(), self._own(topic))
+                if readers < int(count):
                     missing.append(topic)
         return missing
+
+    def _own(self, topic: str) -> float:
+        """Count this station's readers of a topic that several stations share."""
+        if not topic.startswith("/"):
+            return math.inf
+        space = self.node.get_namespace()
+        readers = self.node.get_subscriptions_info_by_topic(topic)
+        return sum(reader.node_namespace == space for reader in readers)
 
     def _check_ready(self) -> None:
         if self._missing():
