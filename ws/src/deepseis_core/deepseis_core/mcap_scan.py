@@ -5,6 +5,10 @@ within a record is *cut*: everything before is given and :attr:`McapScan.cut_at`
 stops. Bytes that contradict themselves (a checksum, an impossible length) are *damage*: an
 ``InputError``, or, when tolerated, a chunk left out and counted; the scan goes on at the next
 place that looks like the beginning of a chunk.
+
+A checksum of zero says in MCAP that none was given, and is what a hole in a file leaves. Writers
+give all of their chunks one or none: where another chunk of the file has one that fits, a chunk
+without is damage.
 """
 
 from __future__ import annotations
@@ -121,6 +125,7 @@ class McapScan:
         self._damage: set[int] = set()
         self._schemas: dict[int, records.Schema] = {}
         self._passed: list[tuple[int, int]] = []
+        self._has_checksums: bool | None = None
         _require_mcap(self.path)
 
     def messages(
@@ -181,21 +186,19 @@ class McapScan:
 
     def _found_chunk(self, file: BinaryIO, at: int, size: int) -> bool:
         """Go on at the next chunk from a place on, if there is one and damage is tolerated."""
-        reach = 1 << 24
-        while self.tolerant and at < size:
-            file.seek(at)
-            block = file.read(reach + CHUNK_HEAD.size + RECORD_HEAD.size + 16)
-            for match in CHUNK_START.finditer(block):
-                (length,) = struct.unpack_from("<Q", match[1])
-                end = match.end(1)
-                inside = len(match[1]) + int.from_bytes(block[end : end + 8], "little")
-                left = size - at - match.start() - RECORD_HEAD.size
-                if length == inside <= min(RECORD_LIMIT, left):
-                    self._note_damage(at)
-                    file.seek(at + match.start())
-                    return True
-            at += reach
-        return False
+        place = _next_chunk(file, at, size) if self.tolerant else None
+        if place is None:
+            return False
+        self._note_damage(at)
+        file.seek(place)
+        return True
+
+    def _gives_checksums(self) -> bool:
+        """Tell whether some chunk has a checksum that fits; it is looked for once."""
+        if self._has_checksums is None:
+            with self.path.open("rb") as file:
+                self._has_checksums = any(map(_fits_its_checksum, _chunks_with_checksum(file)))
+        return self._has_checksums
 
     def _note_damage(self, at: int) -> None:
         """Count damage between chunks, unless it is that of the chunk before."""
@@ -281,7 +284,11 @@ class McapScan:
             )
 
     def _chunk(self, data: bytes, wanted: Callable[[Channel], bool] | None) -> Iterator[Message]:
-        content = memoryview(_decompress(data))
+        content, is_checked = _decompress(data)
+        if is_checked:
+            self._has_checksums = True
+        elif self._gives_checksums() and zlib.crc32(content):
+            raise _Damage("its checksum is zero, other chunks have one")
         position = 0
         while position < len(content):
             opcode, length = RECORD_HEAD.unpack_from(content, position)
@@ -326,7 +333,51 @@ def _stream(data: bytes | memoryview) -> ReadDataStream:
     return ReadDataStream(BytesIO(data))
 
 
-def _decompress(data: bytes) -> bytes | memoryview:
+def _next_chunk(file: BinaryIO, at: int, size: int) -> int | None:
+    """Return the next place that looks like the beginning of a chunk."""
+    reach = 1 << 24
+    while at < size:
+        file.seek(at)
+        block = file.read(reach + CHUNK_HEAD.size + RECORD_HEAD.size + 16)
+        for match in CHUNK_START.finditer(block):
+            (length,) = struct.unpack_from("<Q", match[1])
+            end = match.end(1)
+            inside = len(match[1]) + int.from_bytes(block[end : end + 8], "little")
+            left = size - at - match.start() - RECORD_HEAD.size
+            if length == inside <= min(RECORD_LIMIT, left):
+                return at + match.start()
+        at += reach
+    return None
+
+
+def _chunks_with_checksum(file: BinaryIO) -> Iterator[bytes]:
+    """Yield the chunks that have a checksum, whether it fits or not, without reading others."""
+    size, place = os.fstat(file.fileno()).st_size, len(MAGIC)
+    while place < size:
+        file.seek(place)
+        opcode, length = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size).ljust(9, b"\0"))
+        end = place + RECORD_HEAD.size + length
+        if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+            return
+        if opcode == 0 or LAST_OPCODE < opcode < PRIVATE_OPCODE or end > size:
+            place = _next_chunk(file, place + 1, size) or size
+            continue
+        if opcode == Opcode.CHUNK and CHUNK_HEAD.size <= length <= RECORD_LIMIT:
+            head = file.read(CHUNK_HEAD.size)
+            if CHUNK_HEAD.unpack(head)[3]:
+                yield head + file.read(length - CHUNK_HEAD.size)
+        place = end
+
+
+def _fits_its_checksum(chunk: bytes) -> bool:
+    try:
+        return _decompress(chunk)[1]
+    except _ERRORS:
+        return False
+
+
+def _decompress(data: bytes) -> tuple[memoryview, bool]:
+    """Return what a chunk holds, and whether it has a checksum."""
     _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(data)
     start = CHUNK_HEAD.size + name_length
     name = bytes(data[CHUNK_HEAD.size : start]).decode()
@@ -347,4 +398,4 @@ def _decompress(data: bytes) -> bytes | memoryview:
         raise _Damage(f"unknown compression {name!r}")
     if len(content) != size or (crc and zlib.crc32(content) != crc):
         raise _Damage("its checksum does not fit")
-    return content
+    return memoryview(content), bool(crc)
