@@ -33,6 +33,7 @@ def test_the_run_recorded_every_topic(recorded, recording):
     assert len(topics["/gnss/ephemeris"]) == 2 * len(recording.satellites)
     assert len(topics["/gnss/observations"]) > 300
     assert len(topics["/gnss/pvt"]) == len(topics["/gnss/fix"]) > 60
+    assert len(topics["/gnss/time_reference"]) > 60
     assert len(topics["/acquisition/result"]) == len(recording.satellites) + 1
 
 

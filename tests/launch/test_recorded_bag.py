@@ -17,6 +17,8 @@ from deepseis_bringup.bags.run_records import input_hash, recorded_run, run_reco
 from deepseis_bringup.graph import GraphConfig, build_graph
 from deepseis_core.geodesy import geodetic_from_ecef
 from deepseis_core.interface import INTERFACE_VERSION
+from deepseis_core.ros.convert import ns_from_stamp
+from deepseis_sim.still_recording import StillConfig
 
 pytestmark = [pytest.mark.launch, pytest.mark.timeout(60)]
 
@@ -117,6 +119,17 @@ def test_the_fix_is_near_the_truth_as_its_covariance_says(recorded, recording):
     latitude, longitude, height = geodetic_from_ecef(solutions[-1].position_ecef)
     expected = (np.degrees(latitude), np.degrees(longitude), height)
     assert (fix.latitude, fix.longitude, fix.altitude) == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_time_reference_tells_how_far_the_stations_clock_is_from_utc(recorded):
+    """Simulated: 0.32 ms ahead, and 8e-8 more every second."""
+    start_ns, off = StillConfig().start.to_utc_ns(), []
+    for data in recorded.payloads()["/gnss/time_reference"]:
+        said = decode("sensor_msgs/msg/TimeReference", data)
+        shown, true = (ns_from_stamp(stamp) for stamp in (said.header.stamp, said.time_ref))
+        off.append(shown - true - 320_000 - 80e-9 * (true - start_ns))
+    # Three sigma of a position whose own is 20 m.
+    assert np.abs(off).max() < 3 * 20.0 / 0.2998
 
 
 @pytest.mark.filterwarnings("ignore:In a future version of xarray:FutureWarning")  # georinex's

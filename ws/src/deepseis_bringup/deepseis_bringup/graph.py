@@ -30,6 +30,7 @@ TYPES: Mapping[str, tuple[str, str]] = {
     "gnss/precise": ("deepseis_msgs/msg/PrecisePosition", "stream"),
     "gnss/rtk": ("deepseis_msgs/msg/PrecisePosition", "stream"),
     "gnss/fix": ("sensor_msgs/msg/NavSatFix", "stream"),
+    "gnss/time_reference": ("sensor_msgs/msg/TimeReference", "stream"),
     "aiding/doppler": ("deepseis_msgs/msg/DopplerAiding", "stream"),
     "motion/state": ("deepseis_msgs/msg/MotionState", "latched"),
     "ins/solution": ("deepseis_msgs/msg/InsSolution", "stream"),
@@ -223,7 +224,8 @@ def build_graph(config: GraphConfig) -> list[NodeSpec]:
             "pvt",
             "pvt",
             (
-                *("gnss/observations", "gnss/pvt", "gnss/fix", "gnss/precise"),
+                *("gnss/observations", "gnss/pvt", "gnss/fix", "gnss/time_reference"),
+                "gnss/precise",
                 *(["gnss/rtk"] * config.base),
                 "/diagnostics",
             ),

@@ -16,7 +16,7 @@ from deepseis_core.config import check
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.rinex_nav import read_rinex_nav
 from deepseis_core.sample_clock import SampleClock, utc_ns_from_iso
-from deepseis_core.types import Aiding, IfBlock, Observations, Pvt
+from deepseis_core.types import Aiding, IfBlock, Observations, Pvt, PvtStatus
 from deepseis_frontend.base_events import BaseReference, utc_of
 from deepseis_frontend.base_player import BasePlayer
 from deepseis_frontend.if_open import open_source
@@ -209,7 +209,7 @@ class OfflineChain:
             if epoch is None:
                 continue
             observations, pvt = epoch
-            for output in _solved(observations, pvt, self.precise, self.pvt.missed):
+            for output in _solved(self.clock, observations, pvt, self.precise, self.pvt.missed):
                 yield output
                 if self.inertial is not None:
                     self.inertial.push_position(output.topic, output.value)
@@ -218,6 +218,7 @@ class OfflineChain:
 
 
 def _solved(
+    clock: SampleClock,
     observations: Observations,
     pvt: Pvt | None,
     precise: PrecisePositions,
@@ -228,6 +229,8 @@ def _solved(
     if pvt is not None:
         yield Output("gnss/pvt", pvt, utc_ns)
         yield Output("gnss/fix", pvt, utc_ns)
+        if pvt.status != PvtStatus.NONE:
+            yield Output("gnss/time_reference", (observations, pvt, clock), utc_ns)
     for topic, value in precise.solve(observations, missed):
         yield Output(topic, value, utc_ns)
 
@@ -280,11 +283,14 @@ def encode(output: Output) -> bytes:
     from deepseis_core.imu_message import encode_imu
     from deepseis_core.ros import codecs
     from deepseis_core.ros.cdr import Codec, encode_message
-    from deepseis_core.ros.navsat import fix_from_pvt
+    from deepseis_core.ros.navsat import fix_from_pvt, time_reference
 
     topic, value, utc_ns = output.topic, output.value, output.utc_ns
     if topic == "gnss/fix":
         return encode_message(fix_from_pvt(value, utc_ns))
+    if topic == "gnss/time_reference":
+        observations, pvt, clock = value
+        return encode_message(time_reference(observations, pvt, clock, utc_ns))
     if topic == "base/reference":
         return codecs.STATION.encode(value.station(), utc_ns)
     if topic == "imu/data_raw":

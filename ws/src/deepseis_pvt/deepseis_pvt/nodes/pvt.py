@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from sensor_msgs.msg import NavSatFix
+from sensor_msgs.msg import NavSatFix, TimeReference
 
 from deepseis_core.config import setting
 from deepseis_core.counted import CountedInput
@@ -21,7 +21,7 @@ from deepseis_core.ros.cdr import encode_message
 from deepseis_core.ros.codecs import subscribe
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
-from deepseis_core.ros.navsat import fix_from_pvt
+from deepseis_core.ros.navsat import fix_from_pvt, time_reference
 from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.ros.realtime import RealtimeReport
 from deepseis_core.ros.steady import every
@@ -67,7 +67,7 @@ class NodeConfig:
 class PvtNode(Node):
     """In: tracking/<sat>/epochs, gnss/ephemeris, motion/state, base/observations, base/reference.
 
-    Out: gnss/observations, gnss/pvt, gnss/fix, gnss/precise, gnss/rtk.
+    Out: gnss/observations, gnss/pvt, gnss/fix, gnss/time_reference, gnss/precise, gnss/rtk.
     """
 
     def __init__(self, process: Process) -> None:
@@ -126,6 +126,7 @@ class PvtNode(Node):
         self.observations = publish_on("gnss/observations", Observations, qos.STREAM)
         self.pvt = publish_on("gnss/pvt", Pvt, qos.STREAM)
         self.fix = publish_on("gnss/fix", NavSatFix, qos.STREAM)
+        self.time = publish_on("gnss/time_reference", TimeReference, qos.STREAM)
         self.displacement = {PHASE_TOPIC: publish_on(PHASE_TOPIC, PrecisePosition, qos.STREAM)}
         if BASE in self.witnesses:
             self.displacement[RTK_TOPIC] = publish_on(RTK_TOPIC, PrecisePosition, qos.STREAM)
@@ -305,6 +306,9 @@ class PvtNode(Node):
             self.is_placed = pvt.status != PvtStatus.NONE
             self.pvt.publish(codecs.PVT.encode(pvt, utc_ns))
             self.fix.publish(encode_message(fix_from_pvt(pvt, utc_ns)))
+            if self.is_placed and self.clock is not None:
+                told = time_reference(observations, pvt, self.clock, utc_ns)
+                self.time.publish(encode_message(told))
         for topic, value in self.precise.solve(observations, self.engine.missed):
             self.precise_positions += topic == PHASE_TOPIC
             if topic in self.displacement:
