@@ -51,7 +51,7 @@ def test_a_leak_is_found_in_the_noise_of_an_allocator(slope: float, flat: bool) 
     resources = Resources({("node", 7): [(x, y, 20.0) for x, y in zip(t, memory, strict=True)]})
     acceptance = Acceptance("soak", "")
     add_resources(acceptance, "memory", resources)
-    (row,) = (row for row in acceptance.rows if row.quantity == "slope less two sigmas")
+    (row,) = (row for row in acceptance.rows if row.quantity == "slope and two sigmas")
     assert row.met is flat
     assert growth_of("x", resources.table("node")).slope_mb_per_h == pytest.approx(slope, abs=6.0)
 

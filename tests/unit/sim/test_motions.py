@@ -221,6 +221,18 @@ def test_nothing_is_still_and_one_is_itself():
     assert sum_of([Profile(), circle], AROUND).span == (20.0, np.inf)
 
 
+def test_parts_that_are_over_and_come_later_add_nothing():
+    circles = [Circle(start=20.0 + 50.0 * k, duration=10.0) for k in range(300)]
+    whole, time = sum_of([Offset(east=0.4, start=30.0), *circles], AROUND), np.arange(0, 160, 0.01)
+    now = whole.at(time)
+    for name in ("position", "velocity", "acceleration"):
+        parts = [getattr(part.at(time), name) for part in whole.parts[:5]]
+        assert_allclose(getattr(now, name), sum(parts), atol=1e-15)
+        # To the sign of zero, however a run is cut.
+        pieces = [getattr(whole.at(piece), name) for piece in np.split(time, [700, 2500, 2600])]
+        assert np.concatenate(pieces).tobytes() == getattr(now, name).tobytes()
+
+
 def test_any_order_and_any_cut_give_the_same_bytes():
     whole = sum_of(
         [

@@ -6,6 +6,7 @@ samples while the event lasts, and once at its end.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -73,7 +74,8 @@ class EventEngine:
         self.event: SeismicEvent | None = None
         self.events = 0
         self._origin: FloatArray = np.zeros(3)
-        self._before: list[FloatArray] = []
+        self._before: deque[FloatArray] = deque()
+        self._kept = 0  # rows in it
         self._reported_ns, self._sd = 0, 0.0
 
     def push(self, motion: Displacement) -> list[Report]:
@@ -114,16 +116,18 @@ class EventEngine:
             self._grow(rows)
             return
         self._before.append(rows)
-        kept = (self.config.reference_s + self.config.lead_s) / interval
-        while sum(len(item) for item in self._before[1:]) > kept:
-            del self._before[0]
+        self._kept += len(rows)
+        needed = (self.config.reference_s + self.config.lead_s) / interval
+        while self._kept - len(self._before[0]) > needed:
+            self._kept -= len(self._before.popleft())
 
     def _begin(self, utc_ns: int, ratio: float, interval: float) -> None:
         """Begin an event, with what led up to it."""
-        rows = np.concatenate(self._before)
+        rows = np.concatenate(list(self._before))
         lead = min(round(self.config.lead_s / interval), len(rows) - 1)
         self._origin = rows[: len(rows) - lead, :3].mean(axis=0)
-        self._before = []
+        self._before.clear()
+        self._kept = 0
         self.events += 1
         sec, nanosec = divmod(utc_ns, NS)
         name = (

@@ -116,8 +116,9 @@ class PhasePositions:
         return {**self.filter.counts, **self.filter.reference.counts}
 
     def push_motion(self, state: MotionState) -> None:
-        """Take a decision on motion, in order."""
-        self._states.append(state)
+        """Take a decision on motion, in order; nothing is kept where none is waited for."""
+        if self.witnessed:
+            self._states.append(state)
 
     def motion_valid(self, through: int) -> None:
         """All decisions through this sample have been pushed."""

@@ -50,6 +50,9 @@ __all__ = [
     "sum_of",
 ]
 
+_EDGE = 1e-3
+"""Beyond its span a part is evaluated all the same, whatever is rounded at its ends [s]."""
+
 
 @dataclass(frozen=True)
 class Still(Upright):
@@ -100,6 +103,11 @@ class Circle(Upright):
     duration: float = setting(100.0, "length, ramps included [s]", low=1e-3, high=LONGEST)
     ramp: float = setting(2.0, "growing and shrinking of the radius [s]", low=1e-3, high=LONGEST)
 
+    @property
+    def fades(self) -> bool:
+        """It leaves nothing behind."""
+        return True
+
     def build(self, around: Surroundings) -> Motion:
         """Check the settings."""
         check_settings("circle", self)
@@ -135,6 +143,11 @@ class Sine(Upright):
     duration: float = setting(100.0, "length, ramps included [s]", low=1e-3, high=LONGEST)
     ramp: float = setting(2.0, "growing and fading [s]", low=1e-3, high=LONGEST)
 
+    @property
+    def fades(self) -> bool:
+        """It leaves nothing behind."""
+        return True
+
     def build(self, around: Surroundings) -> Motion:
         """Check the settings."""
         check_settings("sine", self)
@@ -167,6 +180,11 @@ class Offset(Upright):
     duration: float = setting(
         0.0, "from leaving to being back [s]; 0: it stays", low=0.0, high=LONGEST
     )
+
+    @property
+    def fades(self) -> bool:
+        """Whether it goes back."""
+        return self.duration > 0.0
 
     def build(self, around: Surroundings) -> Motion:
         """Check the settings."""
@@ -249,13 +267,27 @@ class Sum:
         spans = [part.span for part in self.parts if part.span[1] > part.span[0]]
         return min((s[0] for s in spans), default=0.0), max((s[1] for s in spans), default=0.0)
 
+    @cached_property
+    def _times(self) -> list[tuple[Motion, float, float]]:
+        """Return the parts, and from when to when each counts [s]."""
+        found: list[tuple[Motion, float, float]] = []
+        for part in self.parts:
+            begin, end = part.span if getattr(part, "fades", False) else (-math.inf, math.inf)
+            found.append((part, begin - _EDGE, end + _EDGE))
+        return found
+
     def at(self, time: FloatArray) -> Kinematics:
         """Evaluate at times [s], shape (m,).
 
-        With ``C = C_2 C_1`` the rate is ``omega_1 + C_1^T omega_2``, in axes of the body.
+        With ``C = C_2 C_1`` the rate is ``omega_1 + C_1^T omega_2``, in axes of the body. Parts
+        that are over, or have not begun, and leave nothing behind are passed over: a day of
+        earthquakes takes as long as one.
         """
-        whole = self.parts[0].at(time)
-        for part in self.parts[1:]:
+        whole = at_rest(time)
+        low, high = (time.min(), time.max()) if time.size else (0.0, 0.0)
+        for part, begin, end in self._times:
+            if end < low or begin > high:
+                continue
             new = part.at(time)
             omega = whole.omega_b
             if part.rotates:

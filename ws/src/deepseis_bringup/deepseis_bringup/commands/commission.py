@@ -41,6 +41,7 @@ def commission(
             result = work.commission(bag_of(run), folder, longest_s=longest)
         for check in result["checks"]:
             typer.echo(f"{check['status']}\t{check['name']}\t{check['found']}")
+        typer.echo(result["verdict"])
         typer.echo(str(folder / "commission.html"))
         bad = result["failed"] + (result["open"] if strict else 0)
     raise typer.Exit(1 if bad else 0)

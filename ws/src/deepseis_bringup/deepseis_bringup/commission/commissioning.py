@@ -47,6 +47,7 @@ def commission(bag: Path, folder: Path, *, longest_s: float = LONGEST_S) -> dict
         "passed": count[PASS],
         "failed": count[FAIL],
         "open": count[OPEN],
+        "verdict": verdict(checks),
         "checks": [vars(check) for check in checks],
     }
     (folder / "commission.html").write_text(page(data.station.name, checks), encoding="utf-8")
@@ -62,11 +63,14 @@ def verdict(checks: Sequence[Check]) -> str:
     --------
     >>> verdict([Check("a", PASS, "", ""), Check("b", OPEN, "", "")])
     'Passed as far as the data tell; 1 check is open.'
+    >>> verdict([Check("a", PASS, "", ""), Check("lever arm", FAIL, "", "")])
+    'Not fit for service: 1 of 2 checks fails: lever arm.'
     """
     failed = [c for c in checks if c.status == FAIL]
     left = [c for c in checks if c.status == OPEN]
     if failed:
-        return f"Not fit for service: {len(failed)} of {len(checks)} checks fail."
+        fail, names = "fails" if len(failed) == 1 else "fail", "; ".join(c.name for c in failed)
+        return f"Not fit for service: {len(failed)} of {len(checks)} checks {fail}: {names}."
     if left:
         are = "check is" if len(left) == 1 else "checks are"
         return f"Passed as far as the data tell; {len(left)} {are} open."

@@ -7,6 +7,7 @@ chance, and the ground shakes now and then. Memory and handles are those of this
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -17,9 +18,10 @@ from typing import Any, Final
 import numpy as np
 
 from deepseis_bringup.faults.cases import masked
+from deepseis_bringup.graph import GraphConfig, precise_parameters
 from deepseis_bringup.offline import pick
 from deepseis_bringup.offline_inertial import InertialChain
-from deepseis_bringup.soak.plan import Disturbance, plan
+from deepseis_bringup.soak.plan import LAST_S, Disturbance, plan
 from deepseis_bringup.soak.resources import Resources
 from deepseis_core.constants import GPS_GM
 from deepseis_core.ephemeris import FIT_S, pack, states_from_pseudoranges
@@ -165,9 +167,10 @@ class Day:
         self.solver, self.book = SppSolver(), EphemerisBook(FIT_S)
         station = self.bench.station()
         place = ecef_from_enu(station.antenna_lever_arm, station.monument_ecef)
+        known = precise_parameters(GraphConfig({}, self.sample_rate_hz, aiding="fusion"))
         self.precise = precise_positions(
-            place.tolist(), self.book, self.sample_rate_hz, PreciseConfig(), PhaseConfig(),
-            ReferenceConfig(), SppConfig(), RtkConfig(), BaseConfig(),
+            place.tolist(), self.book, self.sample_rate_hz, pick(PreciseConfig, known),
+            pick(PhaseConfig, known), ReferenceConfig(), SppConfig(), RtkConfig(), BaseConfig(),
         )  # fmt: skip
         self.inertial = self._inertial()
         self.holes = {
@@ -329,9 +332,13 @@ def soak_observables(
     every_s: float = 60.0,
     show: Callable[[float], object] = lambda _done: None,
 ) -> DayRun:
-    """Run the soak test; ``show`` is told the seconds done."""
+    """Run the soak test; ``show`` is told the seconds done. Ctrl-C ends it with what there is."""
     resources, started = Resources(), monotonic()
     day = Day(hours, rate_hz, seed, every_s)
-    day.run(resources, show)
-    wall = monotonic() - started
-    return DayRun(hours, day.planned, day.holes, resources, wall, day.events, day.epochs)
+    with contextlib.suppress(KeyboardInterrupt):
+        day.run(resources, show)
+    wall, done = monotonic() - started, day.epochs / rate_hz
+    # What came last may have hit something that was not seen to the end.
+    planned = [item for item in day.planned if item.end + LAST_S <= done]
+    hours = min(hours, done / 3600.0)
+    return DayRun(hours, planned, day.holes, resources, wall, day.events, day.epochs)

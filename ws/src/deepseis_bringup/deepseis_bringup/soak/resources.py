@@ -12,17 +12,25 @@ import numpy as np
 
 from deepseis_core.types import FloatArray
 
-PAGE_MB: Final = os.sysconf("SC_PAGE_SIZE") / 2**20
-WARM_S: Final = 30.0
-"""A process takes so long to load, compile and fill its buffers [s of its life]."""
+WARM_S: Final = 900.0
+"""A process takes so long, or a quarter of its life if that is shorter, to load, compile and fill
+its buffers, rings and arenas [s of its life]."""
 LEAST_SAMPLES: Final = 8
+BLOCKS: Final = 12
+"""Into which a life is cut to see how steady its growth is."""
 
 
 def resident_mb(pid: int) -> float:
-    """Return the resident memory of a process [MB]; not a number if it has gone."""
+    """Return the memory that a process has taken for itself [MB]; not a number if it has gone.
+
+    Resident pages but those of files: code and mapped files come and go as the system likes, and
+    are no memory that a process holds. Memory shared with others, as DDS has it, counts.
+    """
     try:
-        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * PAGE_MB
-    except (OSError, IndexError):
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+        found = dict(line.split(":", 1) for line in lines)
+        return sum(int(found[part].split()[0]) for part in ("RssAnon", "RssShmem")) / 1024.0
+    except (OSError, KeyError, ValueError):
         return float("nan")
 
 
@@ -89,7 +97,8 @@ class Resources:
         found = []
         for name in self.names:
             table = self.table(name)
-            warm = table[table[:, 0] >= table[0, 0] + WARM_S]
+            life = table[-1, 0] - table[0, 0]
+            warm = table[table[:, 0] >= table[0, 0] + min(WARM_S, life / 4.0)]
             if len(warm) >= LEAST_SAMPLES:
                 found.append(growth_of(name, warm))
         return found
@@ -99,7 +108,8 @@ def growth_of(name: str, table: FloatArray) -> Growth:
     """Fit a slope to samples of time [s], memory [MB] and handles, shape (m, 3).
 
     The slope is that of Theil and Sen, the median over pairs: a step up and down again does not
-    make one. Its sigma is from the scatter of the slopes of the pairs that are far apart.
+    make one. Memory goes in steps that stay, as a random walk does, so its samples are not
+    independent: the sigma is that of the mean change from block to block of the life.
 
     Examples
     --------
@@ -113,16 +123,32 @@ def growth_of(name: str, table: FloatArray) -> Growth:
     thin = slice(None, None, max(1, len(t) // 300))
     x, y = hours[thin], memory[thin]
     i, j = np.triu_indices(len(x), max(1, len(x) // 3))
-    slopes = (y[j] - y[i]) / (x[j] - x[i])
-    spread = float(np.median(np.abs(slopes - np.median(slopes)))) * 1.4826
     quarter = max(1, len(t) // 4)
     return Growth(
         name,
         float(hours[-1]),
         float(np.median(memory[:quarter])),
         float(np.median(memory[-quarter:])),
-        float(np.median(slopes)),
-        spread / np.sqrt(max(1.0, len(x) / 3.0)),
+        float(np.median((y[j] - y[i]) / (x[j] - x[i]))),
+        _slope_sd(hours, memory),
         float(np.median(count[:quarter])),
         float(np.median(count[-quarter:])),
     )
+
+
+def _slope_sd(hours: FloatArray, memory: FloatArray) -> float:
+    """Return the sigma of the mean change from block to block [MB/h].
+
+    Neighbouring changes share a block: noise of the level itself makes them anticorrelated, and
+    then their mean is better known than their spread says.
+    """
+    parts = min(BLOCKS, len(hours) // 2)
+    levels, times = (
+        np.array([part.mean() for part in np.array_split(values, parts)])
+        for values in (memory, hours)
+    )
+    changes = np.diff(levels) / np.diff(times)
+    count, changes = len(changes), changes - changes.mean()
+    alone = float(changes @ changes) / max(count - 1, 1)
+    shared = float(changes[1:] @ changes[:-1]) / max(count - 1, 1)
+    return float(np.sqrt(max(alone + 2.0 * shared, alone / count) / count))

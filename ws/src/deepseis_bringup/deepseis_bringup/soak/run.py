@@ -73,13 +73,13 @@ def soak_from_observables(
     run = soak_observables(hours, rate_hz=rate_hz, seed=seed, every_s=every_s, show=show)
     table, scene = OBSERVABLES, f"{rate_hz:g} Hz, IMU 200 Hz, seed {seed}"
     acceptance.add(
-        Row(table, scene, "station time", "h", hours),
+        Row(table, scene, "station time", "h", run.hours),
         Row(table, scene, "wall time", "min", run.wall_s / 60.0),
         Row(table, scene, "disturbances", "-", float(len(run.disturbances))),
         Row(table, scene, "epochs", "-", float(run.epochs)),
         Row(table, scene, "events", "-", float(run.events)),
     )
-    found = losses_of_holes(run.disturbances, run.holes, 3600.0 * hours)
+    found = losses_of_holes(run.disturbances, run.holes, 3600.0 * run.hours)
     add_losses(acceptance, f"{OBSERVABLES}: what was lost", found)
     add_resources(acceptance, f"{OBSERVABLES}: memory and file handles", run.resources)
     acceptance.write(folder)
