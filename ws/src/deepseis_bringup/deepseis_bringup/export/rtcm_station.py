@@ -38,9 +38,9 @@ def reference_point(
     station_id : int
         0 to 4095.
     position_ecef : array_like, shape (3,)
-        Of the antenna's reference point, or of the monument below it [m].
+        Of the antenna's reference point, in both messages [m].
     antenna_height : float, optional
-        Of the reference point above the monument [m], 0 to 6.5535.
+        Of that point above the monument [m], 0 to 6.5535.
     """
     x, y, z = (round(float(value) * 1e4) for value in list(position_ecef))  # type: ignore[arg-type]
     bits = Bits().unsigned(1005 if antenna_height is None else 1006, 12)
