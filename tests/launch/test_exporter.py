@@ -1,4 +1,4 @@
-"""The exporter beside a station: records in the archive and at a ringserver's port."""
+"""The exporter beside a station: records in the archive, at a ringserver's port, at receivers."""
 
 import os
 import socket
@@ -14,10 +14,13 @@ from unit.bringup.test_convert import (
     IMU_RATE,
     START,
     displacement,
+    ephemeris,
+    observations,
     pvt,
     station,
 )
 from unit.bringup.test_datalink import Peer
+from unit.bringup.test_rtcm import kinds
 
 from deepseis_bringup.executables import executable
 from deepseis_bringup.export.quiet_obspy import obspy_modules
@@ -26,7 +29,7 @@ from deepseis_core.imu_message import encode_imu
 from deepseis_core.ros import codecs, qos
 from deepseis_core.types import ImuSample
 from deepseis_core.types import InsSolution as SolutionValue
-from deepseis_msgs.msg import Displacement, InsSolution, Pvt, Station
+from deepseis_msgs.msg import Displacement, Ephemeris, InsSolution, Observations, Pvt, Station
 
 pytestmark = [pytest.mark.launch, pytest.mark.timeout(120)]
 SECONDS = 4
@@ -46,12 +49,15 @@ def test_what_a_station_says_is_in_the_archive_and_at_the_ringserver(tmp_path):
     peer, seconds = Peer(), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     seconds.bind(("127.0.0.1", 0))
     seconds.settimeout(10.0)
+    ports = {name: free_port() for name in ("rtcm", "nmea")}
     with own_domain() as environment, listener(environment) as (node, until):
         program = str(executable("deepseis_bringup", "exporter"))
         parameters = (
             f"directory:={tmp_path}",
             f"datalink:=127.0.0.1:{peer.port}",
             f"gdrt:=127.0.0.1:{seconds.getsockname()[1]}",
+            *(f"{name}:=127.0.0.1:{port}" for name, port in ports.items()),
+            "rtcm_rate_hz:=5.0",
         )
         words = [w for item in parameters for w in ("-p", item)]
         arguments = ["--ros-args", "-r", "__ns:=/DSEI", *words]
@@ -67,9 +73,15 @@ def test_what_a_station_says_is_in_the_archive_and_at_the_ringserver(tmp_path):
                     ("ins/solution", InsSolution, qos.STREAM),
                     ("seismo/displacement", Displacement, qos.STREAM),
                     ("imu/data_raw", Imu, qos.STREAM),
+                    ("gnss/observations", Observations, qos.STREAM),
+                    ("gnss/ephemeris", Ephemeris, qos.LATCHED),
                 )
             }
             until(lambda: all(p.get_subscription_count() for p in publish.values()), 60.0)
+            receivers = {
+                name: socket.create_connection(("127.0.0.1", port), 10.0)
+                for name, port in ports.items()
+            }
             speak(publish)
             until(lambda: process.poll() or len(list(tmp_path.rglob("*.D.*"))) == 15, 30.0)
             time.sleep(0.5)
@@ -78,6 +90,11 @@ def test_what_a_station_says_is_in_the_archive_and_at_the_ringserver(tmp_path):
             errors = process.communicate(timeout=30)[1]
     peer.close()
     assert process.returncode == 0, errors
+    said = {name: whole(receiver) for name, receiver in receivers.items()}
+    numbers = kinds(said["rtcm"])
+    assert [numbers.count(n) for n in (1077, 1019, 1006)] == [5 * SECONDS, 2, 2]
+    assert said["nmea"].count(b"$GPGGA,015950.00") == 1
+    assert said["nmea"].count(b"$GPGGA,") == 10 * SECONDS
     with seconds:
         heads = [seconds.recv(2000)[:24] for _ in range(SECONDS)]
     assert heads == [f"> DSEI 202201010159{50 + k}.00".encode() for k in range(SECONDS)]
@@ -89,16 +106,31 @@ def test_what_a_station_says_is_in_the_archive_and_at_the_ringserver(tmp_path):
     assert obspy_modules().read_inventory(str(tmp_path / "JP.DSEI.xml"))
 
 
+def free_port():
+    with socket.create_server(("127.0.0.1", 0)) as any_free:
+        return any_free.getsockname()[1]
+
+
+def whole(receiver):
+    """Return what a receiver got until the end."""
+    with receiver, receiver.makefile("rb") as stream:
+        return stream.read()
+
+
 def speak(publish):
     """Say four seconds of everything."""
     coarse0 = START.to_utc_ns() - COARSE_LATE_NS
     publish["station"].publish(codecs.STATION.encode(station(), coarse0))
+    orbit = ephemeris("G03", round(START.tow_s()))
+    publish["gnss/ephemeris"].publish(codecs.EPHEMERIS.encode(orbit, coarse0))
     time.sleep(2.0)  # readers match writers in their own time
     for k in range(SECONDS * 10):
         time.sleep(0.05)
         time_ns = k * 10**8
         fix = pvt(START.add_ns(time_ns), k * 400_000)
         publish["gnss/pvt"].publish(codecs.PVT.encode(fix, coarse0))
+        epoch = observations(START.add_ns(time_ns), 0.1)
+        publish["gnss/observations"].publish(codecs.OBSERVATIONS.encode(epoch, coarse0))
         data = codecs.INS_SOLUTION.encode(insolution(k * 400_000), coarse0 + time_ns)
         publish["ins/solution"].publish(data)
     time.sleep(2.0)  # now the clocks are known

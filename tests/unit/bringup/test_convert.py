@@ -5,10 +5,12 @@ import struct
 from itertools import groupby
 
 import numpy as np
+import pynmeagps
 import pytest
 from mcap.reader import make_reader
 from numpy.testing import assert_allclose
 from typer.testing import CliRunner
+from unit.bringup.test_rtcm import kinds, messages
 from unit.pvt.rtklib_reference import exact_time
 
 from deepseis_bringup.bags.mcap_recording import BagWriter
@@ -317,6 +319,21 @@ def test_hourly_rinex_through_rtklib(bag, tmp_path, version):
     assert found.ephemerides[1] == ephemeris("G04", found.ephemerides[1].transmit_tow)
     assert found.leap_seconds == 18
     assert written[0].read_text()[:20].split() == [version]
+
+
+def test_a_bag_becomes_a_file_of_either(bag, tmp_path):
+    for to, more in (("rtcm", ["--rtcm-rate", "10"]), ("nmea", [])):
+        done = CliRunner().invoke(app, ["convert", str(bag), "--to", to, *more, "-o",
+                                        str(tmp_path / to)])  # fmt: skip
+        assert done.exit_code == 0, done.stderr
+    data = (tmp_path / "rtcm" / "observations.rtcm3").read_bytes()
+    numbers = kinds(data)
+    assert (numbers.count(1077), numbers.count(1006)) == (600, 7)
+    assert {m.DF009 for m in messages(data) if m.identity == "1019"} == {3, 4}
+    text = (tmp_path / "nmea" / "positions.nmea").read_text()
+    places = [pynmeagps.NMEAReader.parse(line) for line in text.splitlines()]
+    assert len(places) == 600
+    assert {(p.msgID, p.quality) for p in places} == {("GGA", 1)}
 
 
 def table(path):

@@ -63,6 +63,21 @@ def parsed(data):
     return pyrtcm.RTCMReader.parse(data, validate=pyrtcm.VALCKSUM, labelmsm=1)
 
 
+def kinds(data):
+    """Return the numbers of messages that follow each other, as pyrtcm parses them."""
+    return [int(m.identity) for m in messages(data)]
+
+
+def messages(data):
+    """Return messages that follow each other."""
+    found = []
+    while data:
+        length = 6 + int.from_bytes(data[1:3], "big")
+        found.append(pyrtcm.RTCMReader.parse(data[:length], validate=pyrtcm.VALCKSUM))
+        data = data[length:]
+    return found
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_rtklib_reads_every_observation_to_the_messages_resolution(seed):
     rtcm, o = rtklib_decoder(), epoch(seed)

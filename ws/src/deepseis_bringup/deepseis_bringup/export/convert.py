@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -12,6 +12,7 @@ import numpy as np
 
 from deepseis_bringup.export.convert_bag import ConvertBag
 from deepseis_bringup.export.convert_csv import CsvFolder, CsvHandlers, imu_description
+from deepseis_bringup.export.convert_rtcm import to_nmea, to_rtcm
 from deepseis_bringup.export.fdsn_channels import (
     NETWORK,
     Place,
@@ -32,7 +33,6 @@ from deepseis_core.types import Displacement, Pvt, PvtStatus, Station
 from deepseis_pvt.rinex_hours import RinexHours
 from deepseis_pvt.rinex_obs import VERSIONS, RinexStation
 
-FORMATS: Final = ("miniseed", "rinex", "csv")
 DEFAULT_STATION: Final = "DSEI"
 
 Say = Callable[[str], None]
@@ -47,6 +47,7 @@ class ConvertOptions:
     rinex_version: str = VERSIONS[0]
     rinex_name: str = ""
     alias: bool = False
+    rtcm_rate_hz: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -107,9 +108,7 @@ def convert(path: Path, to: str, folder: Path, options: ConvertOptions, say: Say
     known = survey(path)
     if known.newest_utc_ns > LEAP_SECONDS_EXPIRE_UNIX_NS:
         say("the table of leap seconds ends before this recording: its last value is used")
-    written = {"miniseed": to_miniseed, "rinex": to_rinex, "csv": to_csv}[to](
-        known, folder, options, say
-    )
+    written = FORMATS[to](known, folder, options, say)
     if not known.bag.is_whole:
         say(f"{path} is cut short or damaged: what can be read was converted")
     if not written:
@@ -228,3 +227,12 @@ def to_csv(known: Survey, folder: Path, _options: ConvertOptions, _say: Say) -> 
         text = imu_description(handlers.imu_week, known.station)
         Path(f"{out.paths['imu']}.yaml").write_text(text, encoding="utf-8")
     return list(out.paths.values())
+
+
+FORMATS: Final[Mapping[str, Callable[[Survey, Path, ConvertOptions, Say], list[Path]]]] = {
+    "miniseed": to_miniseed,
+    "rinex": to_rinex,
+    "csv": to_csv,
+    "rtcm": to_rtcm,
+    "nmea": to_nmea,
+}

@@ -11,11 +11,12 @@ from typing import Any, Final
 
 from aiohttp import web
 
+from deepseis_bringup.listening import listening
 from deepseis_bringup.live.assets import OPEN, digest, read_assets
 from deepseis_bringup.live.guard import HEADERS, Guard
-from deepseis_bringup.live.listening import listening
 from deepseis_bringup.live.model import LiveModel
 from deepseis_bringup.live.viewer import Viewer
+from deepseis_bringup.live.web_options import PAGE
 
 FEED_S: Final = 0.03
 """Time between looks at the topics [s]."""
@@ -62,7 +63,7 @@ class PageServer:
         self.assets = read_assets()
         self.page = digest(self.assets)
         self.viewers: set[web.WebSocketResponse] = set()
-        self._socket = listening(guard.address, port)
+        self._socket = listening(guard.address, port, *PAGE)
         self.port = self._socket.getsockname()[1]
         self._cookie = f"{COOKIE}_{self.port}"  # browsers share cookies between ports
         self._loop = asyncio.new_event_loop()

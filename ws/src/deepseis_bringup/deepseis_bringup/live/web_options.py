@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from deepseis_bringup.listening import listening
 from deepseis_bringup.live.guard import Guard, token_from
-from deepseis_bringup.live.listening import listening
 
 PORT: Final = 8765
+PAGE: Final = "live page", "choose another with --web PORT"
+"""Whose port it is, and what to do where it is taken."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class WebOptions:
             The port is taken, or a token is missing.
         """
         Guard(self.address, token_from(self.token_file), self.names)
-        listening(self.address, self.port).close()
+        listening(self.address, self.port, *PAGE).close()
 
     @property
     def url(self) -> str:

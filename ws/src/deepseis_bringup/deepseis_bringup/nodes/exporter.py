@@ -1,4 +1,4 @@
-"""Node: a live station's ground motion and IMU into an SDS archive, and to a ringserver."""
+"""Node: a live station's data in the formats of others: archive, ringserver, RTCM, NMEA."""
 
 from __future__ import annotations
 
@@ -13,8 +13,11 @@ from sensor_msgs.msg import Imu
 from deepseis_bringup.export.datalink import DataLink, address_of
 from deepseis_bringup.export.gdrt import GdrtSender
 from deepseis_bringup.export.live_export import LiveConfig, LiveExport
+from deepseis_bringup.export.nmea import gga
 from deepseis_bringup.export.quiet_obspy import obspy_modules
+from deepseis_bringup.export.rtcm_stream import RtcmConfig, RtcmStream
 from deepseis_bringup.export.sds import SdsArchive
+from deepseis_bringup.export.tcp_out import TcpOut
 from deepseis_core.config import setting
 from deepseis_core.errors import InputError
 from deepseis_core.imu_message import decode_imu
@@ -24,7 +27,14 @@ from deepseis_core.ros.main import Process, run
 from deepseis_core.ros.parameters import declare, reject_unknown
 from deepseis_core.ros.steady import every
 from deepseis_core.sample_clock import SampleClock
-from deepseis_core.types import Displacement, DisplacementSource, Pvt, Station
+from deepseis_core.types import (
+    Displacement,
+    DisplacementSource,
+    Ephemeris,
+    Observations,
+    Pvt,
+    Station,
+)
 from deepseis_msgs.msg import InsSolution
 
 _BY_STAMP = SampleClock(0, 1e9)
@@ -43,18 +53,21 @@ class ExporterConfig:
     gdrt_source: str = setting(
         "fused", "motion sent there [-]", choices=("gnss", "aided", "fused")
     )
+    rtcm: str = setting("", "RTCM 3 for whoever connects to host:port; empty: none [-]")
+    nmea: str = setting("", "GGA for whoever connects to host:port; empty: none [-]")
 
 
 class ExporterNode(Node):
     """In: station, gnss/pvt, ins/solution, seismo/displacement, imu/data_raw. Out: /diagnostics.
 
-    Takes no part in the graph's flow control: it may come, go and fail. Parameters:
-    ExporterConfig, LiveConfig.
+    For RTCM gnss/observations and gnss/ephemeris too. Takes no part in the graph's flow control:
+    it may come, go and fail. Parameters: ExporterConfig, LiveConfig, RtcmConfig.
     """
 
     def __init__(self, process: Process) -> None:
         super().__init__("exporter")
         self.config, live = declare(self, ExporterConfig), declare(self, LiveConfig)
+        rtcm = declare(self, RtcmConfig)
         reject_unknown(self)
         if not self.config.directory:
             raise InputError("parameter directory of exporter", "is empty", "name the archive")
@@ -73,9 +86,22 @@ class ExporterNode(Node):
         self.create_subscription(InsSolution, "ins/solution", self.on_solution, DEEP, raw=True)
         subscribe(self, codecs.DISPLACEMENT, "seismo/displacement", self.on_motion, DEEP)
         self.create_subscription(Imu, "imu/data_raw", self.on_imu, DEEP, raw=True)
+        self.serve(rtcm)
         diagnostics.of_station(self.get_namespace())
         self.diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.STREAM)
         every(self, 1.0, self.report)
+
+    def serve(self, config: RtcmConfig) -> None:
+        """Open the ports for receivers."""
+        self.rtcm = RtcmStream(config)
+        self.servers: dict[str, TcpOut] = {}
+        for name, greeting in (("rtcm", self.rtcm.greeting), ("nmea", bytes)):
+            if address := getattr(self.config, name):
+                place = address_of(address, None)
+                self.servers[name] = TcpOut(place, f"parameter {name} of exporter", greeting)
+        if "rtcm" in self.servers:
+            subscribe(self, codecs.OBSERVATIONS, "gnss/observations", self.on_epoch, DEEP)
+            subscribe(self, codecs.EPHEMERIS, "gnss/ephemeris", self.on_ephemeris, qos.LATCHED)
 
     def put(self, name: Path, records: bytes) -> None:
         """Hand records on; the archive first."""
@@ -86,6 +112,7 @@ class ExporterNode(Node):
     def on_station(self, station: Station, _utc_ns: int) -> None:
         """Learn the codes."""
         self.export.take_station(station)
+        self.rtcm.take_station(station)
         if self.gdrt_address is not None and self.gdrt is None and self.export.place is not None:
             self.gdrt = GdrtSender(
                 self.gdrt_address,
@@ -99,8 +126,18 @@ class ExporterNode(Node):
     def on_pvt(self, pvt: Pvt, _utc_ns: int) -> None:
         """Learn the clock's error."""
         self.export.take_pvt(pvt)
+        if "nmea" in self.servers:
+            self.servers["nmea"].put(gga(pvt).encode("ascii"))
         if self.gdrt is not None:
             self.gdrt.satellites = len(pvt.satellites)
+
+    def on_epoch(self, observations: Observations, _utc_ns: int) -> None:
+        """Send an epoch to receivers."""
+        self.servers["rtcm"].put(self.rtcm.take_observations(observations))
+
+    def on_ephemeris(self, ephemeris: Ephemeris, _utc_ns: int) -> None:
+        """Send an orbit to receivers."""
+        self.servers["rtcm"].put(self.rtcm.take_ephemeris(ephemeris))
 
     def on_solution(self, data: bytes) -> None:
         """Learn the coarse clock from the first sample's stamp, once."""
@@ -131,6 +168,8 @@ class ExporterNode(Node):
                 level, text = diagnostics.WARN, f"{text}, no connection to {self.config.datalink}"
         if self.gdrt is not None:
             values |= {"gdrt_sent": self.gdrt.sent, "gdrt_failed": self.gdrt.failed}
+        for name, server in self.servers.items():
+            values |= {f"{name}_clients": server.clients, f"{name}_dropped": server.dropped}
         utc_ns = self.export.newest_utc_ns
         self.diagnostics.publish(diagnostics.encoded("exporter", level, text, values, utc_ns))
 
@@ -142,6 +181,8 @@ class ExporterNode(Node):
             self.link.close()
         if self.gdrt is not None:
             self.gdrt.close()
+        for server in self.servers.values():
+            server.close()
 
 
 def main() -> None:

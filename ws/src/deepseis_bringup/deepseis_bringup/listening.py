@@ -1,4 +1,4 @@
-"""The port of the live page."""
+"""A port of this machine for others to connect to."""
 
 from __future__ import annotations
 
@@ -7,8 +7,17 @@ import socket
 from deepseis_core.errors import InputError
 
 
-def listening(address: str, port: int) -> socket.socket:
+def listening(address: str, port: int, what: str, hint: str = "") -> socket.socket:
     """Return a socket that listens.
+
+    Parameters
+    ----------
+    address : str
+        Of this machine.
+    port : int
+        0: any that is free.
+    what, hint : str
+        Whose port it is and what to do about it, for the error.
 
     Raises
     ------
@@ -20,5 +29,4 @@ def listening(address: str, port: int) -> socket.socket:
         return socket.create_server((address, port), family=family, backlog=64)
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        hint = "choose another with --web PORT"
-        raise InputError(f"live page on {address} port {port}", reason, hint) from None
+        raise InputError(f"{what} on {address} port {port}", reason, hint) from None
