@@ -11,7 +11,7 @@ from deepseis_core.geodesy import ecef_from_geodetic, rotation_enu_ecef
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.types import Lli, MotionKind, MotionState, PreciseStatus
 from deepseis_pvt.ephemeris_book import EphemerisBook
-from deepseis_pvt.phase_displacement import PhaseConfig
+from deepseis_pvt.phase_values import PhaseConfig
 from deepseis_pvt.precise import PhasePositions, PreciseConfig
 from deepseis_pvt.precise_rtk import BaseConfig, RtkPositions
 from deepseis_pvt.precise_set import PrecisePositions

@@ -7,7 +7,7 @@ from deepseis_ins.motion_engine import MotionEngineConfig
 from deepseis_ins.motion_state import MotionConfig
 from deepseis_ins.rehearsal import rehearse_fusion, rehearse_motion
 from deepseis_pvt.observables import ObservablesConfig
-from deepseis_pvt.phase_displacement import PhaseConfig
+from deepseis_pvt.phase_values import PhaseConfig
 from deepseis_pvt.precise import PreciseConfig
 from deepseis_pvt.precise_rtk import BaseConfig
 from deepseis_pvt.rehearsal import rehearse

@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from deepseis_pvt.phase_displacement import (
+from deepseis_pvt.phase_displacement import PhaseDisplacement
+from deepseis_pvt.phase_values import (
     INTEGRATION,
     WAVELENGTH_RAD,
     PhaseConfig,
-    PhaseDisplacement,
     PhaseEpoch,
     PhaseSolution,
 )

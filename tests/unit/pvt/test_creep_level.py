@@ -7,7 +7,8 @@ import pytest
 from unit.pvt.phase_bench import Phases
 
 from deepseis_pvt.creep_level import LEAST, CreepLevel
-from deepseis_pvt.phase_displacement import PhaseConfig, PhaseDisplacement
+from deepseis_pvt.phase_displacement import PhaseDisplacement
+from deepseis_pvt.phase_values import PhaseConfig
 from deepseis_pvt.still_reference import StillReference
 
 CONFIG = PhaseConfig(loop_bandwidth_hz=25.0, phase_floor_sd=0.0)

@@ -8,7 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 from unit.pvt.phase_bench import Phases, design, noise_sd
 
-from deepseis_pvt.phase_displacement import PhaseConfig, PhaseDisplacement
+from deepseis_pvt.phase_displacement import PhaseDisplacement
+from deepseis_pvt.phase_values import PhaseConfig
 from deepseis_pvt.still_reference import ReferenceConfig, StillReference
 
 WHITE = {"loop_bandwidth_hz": 5.0, "phase_floor_sd": 0.0}
@@ -268,3 +269,48 @@ def test_an_epoch_of_twelve_satellites_takes_less_than_a_millisecond():
 
     assert min(once(True) for _ in range(10)) < 1e-3
     assert min(once(False) for _ in range(10)) < 1e-3
+
+
+def slow_beginning(t):
+    """5 mm in 6 s that no accelerometer feels, then rest there [m]."""
+    return np.array([0.005 * np.clip((t - 34.0) / 6.0, 0.0, 1.0) ** 2, 0.0, 0.0])
+
+
+def after_a_slow_beginning(seed, drift, **doubt):
+    """Return errors [m] and covariances of the minute after a motion that is noticed at 40 s."""
+    config = PhaseConfig(**WHITE, **doubt)
+    phases = Phases(config, motion=slow_beginning, drift=drift, seed=seed)
+    solver = filter_of(config)
+    phases.run(solver, 40.0, True)
+    moving = phases.run(solver, 60.0, False)
+    covariance = np.array([s.covariance[:3, :3] for s in moving])
+    return errors(phases, moving, 40.0), covariance, solver.counts["doubted"]
+
+
+def test_what_moved_before_it_was_noticed_is_no_drift_of_satellites():
+    error, _, doubted = after_a_slow_beginning(1, 0.0)
+    without, *_ = after_a_slow_beginning(1, 0.0, doubt_s=0.0)
+    assert doubted == 1
+    # Half of the 5 mm is believed to be biases' at most. Without doubt they take all of it,
+    # and their rates carry it on for half a minute: 1.7 mm/s, damped by their walk.
+    assert np.abs(error[:, 0].mean()) < 0.003
+    assert np.abs(without[:, 0].mean()) > 0.008
+
+
+def test_doubt_costs_no_more_than_its_covariance_says():
+    squares = []
+    for seed in range(5):
+        error, covariance, doubted = after_a_slow_beginning(seed, 1.0)
+        assert doubted == 1
+        late = [100, 300, 599]
+        squares += [error[k] @ np.linalg.solve(covariance[k], error[k]) / 3.0 for k in late]
+    # 5 runs of three axes, three moments each that creep has not made independent; 4 sigma.
+    assert 0.3 < np.mean(squares) < 2.1
+
+
+def test_a_motion_noticed_in_time_casts_no_doubt():
+    phases = Phases(FIRM, motion=circle(20.0))
+    solver = filter_of(FIRM)
+    phases.run(solver, 20.0, True)
+    solver.solve(phases.epoch(), False, hidden=1e-4)
+    assert solver.counts["doubted"] == 0

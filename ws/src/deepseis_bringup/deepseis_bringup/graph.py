@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from deepseis_core.imu_grades import grade_named
 from deepseis_core.interface import SHARED_TOPICS
 
 ALL_SATELLITES = tuple(f"G{prn:02d}" for prn in range(1, 33))
@@ -178,9 +179,16 @@ def precise_parameters(config: GraphConfig) -> dict[str, Any]:
             "loop_bandwidth_hz": 500.0 / integration_ms,
             "wait_motion": True,
             "add_discriminator": True,
+            **_witness(config),
             **base,
         }
     return {"loop_bandwidth_hz": bandwidth_hz, "wait_motion": False, **base}
+
+
+def _witness(config: GraphConfig) -> dict[str, float]:
+    """Return how good the IMU is that tells pvt of motion."""
+    grade = config.parameters.get("fusion", {}).get("imu_grade", "")
+    return {"imu_walk": grade_named(grade).accelerometers.walk} if grade else {}
 
 
 def topic_type(topic: str) -> tuple[str, str]:

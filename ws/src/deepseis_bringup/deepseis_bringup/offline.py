@@ -24,7 +24,7 @@ from deepseis_frontend.nodes.base_open import base_events
 from deepseis_pvt.assisted_start import assistance_of
 from deepseis_pvt.ephemeris_book import EphemerisBook
 from deepseis_pvt.observables import ObservablesConfig
-from deepseis_pvt.phase_displacement import PhaseConfig
+from deepseis_pvt.phase_values import PhaseConfig
 from deepseis_pvt.precise import PreciseConfig
 from deepseis_pvt.precise_rtk import BaseConfig
 from deepseis_pvt.precise_set import PrecisePositions, precise_positions
@@ -43,6 +43,7 @@ Aider = Callable[[IfBlock], Iterable[Aiding]]
 """Gives the aiding that lets a block be worked through."""
 
 TRACKERS = "trackers"
+BESIDE = "beside/"
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,9 @@ class OfflineChain:
     ----------
     source, acquisition, tracking, pvt
         The parts, to be looked at.
+    beside : list of InertialChain
+        Other inertial halves on the same inputs, whose aiding nobody takes; what they say comes
+        on topics that begin with ``beside/``.
 
     Raises
     ------
@@ -125,10 +129,17 @@ class OfflineChain:
             events = base_events(config.base_from or chosen.file, self.clock)
             self._base = BasePlayer(events, self.clock)
         self.inertial: InertialChain | None = None
+        self.beside: list[InertialChain] = []
         if config.aiding == "fusion":
-            self.inertial = InertialChain(
-                config.imu_file or chosen.file, self.clock, config.parameters, pick
-            )
+            self.inertial = self.make_inertial(config)
+
+    def make_inertial(self, config: GraphConfig) -> InertialChain:
+        """Return the inertial half of a description, on the clock of this recording."""
+        file = config.imu_file or config.source["file"]
+        return InertialChain(file, self.clock, config.parameters, pick)
+
+    def _inertials(self) -> list[InertialChain]:
+        return [*([self.inertial] if self.inertial is not None else []), *self.beside]
 
     def run(self) -> Iterator[Output]:
         """Work through the recording; yield what the graph would publish."""
@@ -162,6 +173,9 @@ class OfflineChain:
             if topic == "motion/state":
                 self.precise.push_motion(value)
         self.precise.motion_valid(self.inertial.motion.valid_through)
+        for other in self.beside:
+            for topic, value, utc_ns in other.advance(through):
+                yield Output(f"{BESIDE}{topic}", value, utc_ns)
 
     def _based(self, through: int) -> Iterator[Output]:
         """Play the base through a sample; then epochs may go as far as their inputs do."""
@@ -191,8 +205,8 @@ class OfflineChain:
             stamp = self.clock.utc_ns(ephemeris.effective_sample_index)
             yield Output("gnss/ephemeris", ephemeris, stamp)
             self.pvt.push_ephemeris(ephemeris)
-            if self.inertial is not None:
-                self.inertial.push_ephemeris(ephemeris)
+            for inertial in self._inertials():
+                inertial.push_ephemeris(ephemeris)
         for satellite, sample_index in output.requests:
             stamp = self.clock.utc_ns(sample_index)
             yield Output("acquisition/request", (satellite, sample_index), stamp)
@@ -211,10 +225,10 @@ class OfflineChain:
             observations, pvt = epoch
             for output in _solved(self.clock, observations, pvt, self.precise, self.pvt.missed):
                 yield output
-                if self.inertial is not None:
-                    self.inertial.push_position(output.topic, output.value)
-        if self.inertial is not None:
-            self.inertial.pvt_valid(self.pvt.valid_through)
+                for inertial in self._inertials():
+                    inertial.push_position(output.topic, output.value)
+        for inertial in self._inertials():
+            inertial.pvt_valid(self.pvt.valid_through)
 
 
 def _solved(

@@ -25,6 +25,7 @@ from typing import Any, Final
 import numpy as np
 
 from deepseis_core.geodesy import rotation_ned_ecef
+from deepseis_core.imu_grades import LEAST_HIDDEN, hidden_motion
 from deepseis_core.types import FloatArray, Pvt
 from deepseis_ins import measurements
 from deepseis_ins.error_state import POS
@@ -50,6 +51,8 @@ from deepseis_ins.oscillator_terms import OscillatorTerms
 from deepseis_ins.strapdown import NavState, Trajectory
 
 SAME_MOMENT_S: Final = 1e-9
+YOUNG: Final = 0.5
+"""Of a rest shorter than twice the doubtful time so much is not believed [-]."""
 FIRST_INTERVAL_S: Final = 0.1
 """Before the first epoch of GNSS, as if there were one before [s]."""
 
@@ -102,7 +105,7 @@ class DelayedFilter:
         self.place_n: FloatArray | None = None
         self._survey_n = config.monument_sd**2 * np.eye(3)
         self.gnss = GnssUpdates(config, filter, history, lever_arm_b, sample_rate_hz)
-        self._counts = dict.fromkeys(("constraints", "undone", "too_old"), 0)
+        self._counts = dict.fromkeys(("constraints", "undone", "too_old", "doubted"), 0)
         self._interval = sample_rate_hz / config.filter_rate_hz
         self._undoable = round(config.undo_s * sample_rate_hz)
         self._pvts: list[Pvt] = []
@@ -297,10 +300,23 @@ class DelayedFilter:
                 own = self.filter.P[POS, POS] if self.holds_place else 0.0
                 self.place_n = self.beside() + own
             self.offsets = self.offsets.followed_none()
-            self.rest = Rest(self.antenna_ecef(), self._refer())
-        elif not still:
-            self.rest = None
+            self.rest = Rest(self.antenna_ecef(), self._refer(), sample_index)
+        elif not still and self.rest is not None:
+            self._leave(self.rest, sample_index)
         return still
+
+    def _leave(self, rest: Rest, sample_index: int) -> None:
+        """End a rest; if that was noticed late, its last seconds may have been of the motion."""
+        rate, timeline = self.sample_rate_hz, self.timeline
+        late = max(0.0, (timeline.noticed(sample_index) - sample_index) / rate)
+        far, fast = hidden_motion(self.filter.grade.accelerometers.walk, late)
+        self.rest = None
+        if far < LEAST_HIDDEN:
+            return
+        back = min(self.config.doubt_s, YOUNG * (sample_index - rest.begun) / rate)
+        self.offsets = self.offsets.doubted(rest.known_before(sample_index - round(back * rate)))
+        self.filter.widen(position_sd=far, velocity_sd=fast)
+        self._counts["doubted"] += 1
 
     def _is_still(self, sample_index: int) -> bool:
         return self.timeline.is_still(sample_index)
@@ -335,8 +351,11 @@ class DelayedFilter:
                 self.offsets = gnss.learn_precise(offsets, epoch, place, dt)
             else:
                 self.offsets = gnss.learn(offsets, epoch, place, dt)
+            self._remember(epoch.sample_index)
             return None
         if isinstance(epoch, PreciseEpoch):
+            if not against_base and self._takes_to_rest(epoch):
+                return None
             if not against_base and gnss.follows_rtk(offsets, epoch.sample_index):
                 self.offsets = gnss.compare(offsets, epoch, self.row, dt)
                 return None
@@ -345,6 +364,16 @@ class DelayedFilter:
             used = gnss.use(offsets, epoch, self.row, dt)
         self.offsets = used.offsets
         return used.update
+
+    def _takes_to_rest(self, epoch: PreciseEpoch) -> bool:
+        """Return whether a position is from before motion was noticed: biases took it along."""
+        return epoch.sample_index <= self.timeline.noticed(epoch.sample_index)
+
+    def _remember(self, sample_index: int) -> None:
+        """Keep what is known of slow errors, once a second of a rest."""
+        assert self.rest is not None
+        second, reach = self.sample_rate_hz, self.config.doubt_s * self.sample_rate_hz
+        self.rest = self.rest.with_learnt(sample_index, self.offsets, round(second), round(reach))
 
     def _interval_before(self, epochs: Sequence[Any], epoch: Any) -> float:
         """Return the time since the epoch of its kind before one [s]."""

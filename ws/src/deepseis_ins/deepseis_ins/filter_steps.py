@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,10 +29,30 @@ class Rest:
         Where the antenna is [m].
     C_nb : ndarray, shape (3, 3)
         How the IMU stands.
+    begun : int
+        Its first sample.
+    learnt : tuple
+        What was known of slow errors, once a second, with the sample.
     """
 
     antenna_ecef: FloatArray
     C_nb: FloatArray
+    begun: int
+    learnt: tuple[tuple[int, GnssOffsets], ...] = ()
+
+    def with_learnt(self, sample_index: int, offsets: GnssOffsets, step: int, reach: int) -> Rest:
+        """Return the same with what is known at a sample, if the last is ``step`` old.
+
+        What is older than ``reach`` is dropped but for one; all are numbers of samples.
+        """
+        if self.learnt and sample_index - self.learnt[-1][0] < step:
+            return self
+        first = sum(at < sample_index - reach for at, _ in self.learnt[1:])
+        return replace(self, learnt=(*self.learnt[first:], (sample_index, offsets)))
+
+    def known_before(self, sample_index: int) -> GnssOffsets | None:
+        """Return what was known at or before a sample; None: nothing kept goes back so far."""
+        return next((item for at, item in reversed(self.learnt) if at <= sample_index), None)
 
 
 REGULAR, RTK, PRECISE, POSITION, RANGES = range(5)

@@ -59,6 +59,10 @@ class FusionConfig:
     still_position_sd: float = setting(
         2e-3, "zero displacement since then [m]", low=1e-5, high=10.0
     )
+    doubt_s: float = setting(
+        15.0, "of a rest that ends the last part is not believed: motion is noticed late [s]",
+        low=0.0, high=120.0,
+    )  # fmt: skip
     undo_s: float = setting(3.0, "so much can still be taken back [s]", low=0.2, high=60.0)
     smoothing_lag_s: float = setting(
         0.0, "smoothed motion too, so late; more than undo_s; 0: none [s]", low=0.0, high=30.0

@@ -243,6 +243,13 @@ class GnssOffsets:
         """Return the same with another slow error of a kind of precise positions."""
         return replace(self, precise=put(self.precise, kind, error), **changes)  # type: ignore[arg-type]
 
+    def doubted(self, before: GnssOffsets | None) -> GnssOffsets:
+        """Return what is left where only what was known ``before`` is believed.
+
+        PVT's slow errors are metres: what hides in a rest is nothing to them.
+        """
+        return self if before is None else replace(self, precise=before.precise)
+
     def followed_none(self) -> GnssOffsets:
         """Return the same with no precise position followed."""
         return GnssOffsets(self.position, self.velocity, self.precise)

@@ -29,8 +29,8 @@ class MotionTimeline:
         self.delay = delay
         self._pending: list[MotionState] = []
         self._decisions: list[MotionState] = []
-        self._starts, self._states = [-1], [int(MotionKind.UNKNOWN)]
-        self._base = self._starts[0], self._states[0]
+        self._starts, self._states, self._noticed = [-1], [int(MotionKind.UNKNOWN)], [-1]
+        self._base = self._starts[0], self._states[0], self._noticed[0]
 
     def push(self, state: MotionState) -> None:
         """Take a decision, in any order."""
@@ -57,6 +57,10 @@ class MotionTimeline:
         """Return what holds at a sample; UNKNOWN where nobody has decided."""
         return self._states[max(bisect_right(self._starts, sample_index) - 1, 0)]
 
+    def noticed(self, sample_index: int) -> int:
+        """Return through which sample was decided what holds at a sample."""
+        return self._noticed[max(bisect_right(self._starts, sample_index) - 1, 0)]
+
     def is_still(self, sample_index: int) -> bool:
         """Return whether the station stands still at a sample."""
         return self.state(sample_index) == MotionKind.STATIC
@@ -66,9 +70,9 @@ class MotionTimeline:
         kept = [item for item in self._decisions if item.valid_through >= before]
         if len(kept) < len(self._decisions):
             found = max(bisect_right(self._starts, before) - 1, 0)
-            self._base = self._starts[found], self._states[found]
+            self._base = self._starts[found], self._states[found], self._noticed[found]
             self._decisions = kept
-            del self._starts[:found], self._states[:found]
+            del self._starts[:found], self._states[:found], self._noticed[:found]
 
     def _take(self, item: MotionState) -> int | None:
         late = bool(self._decisions) and _order(item) < _order(self._decisions[-1])
@@ -76,7 +80,7 @@ class MotionTimeline:
         if not late:
             return self._apply(item)
         before = list(zip(self._starts, self._states, strict=True))
-        self._starts, self._states = [self._base[0]], [self._base[1]]
+        self._starts, self._states, self._noticed = ([item] for item in self._base)
         for decision in self._decisions:
             self._apply(decision)
         after = list(zip(self._starts, self._states, strict=True))
@@ -90,8 +94,9 @@ class MotionTimeline:
         if self.state(start) == item.state == self._states[-1]:
             return None
         while len(self._starts) > 1 and self._starts[-1] >= start:
-            del self._starts[-1], self._states[-1]
+            del self._starts[-1], self._states[-1], self._noticed[-1]
         if self._states[-1] != item.state:
             self._starts.append(max(start, self._starts[-1] + 1))
             self._states.append(item.state)
+            self._noticed.append(item.valid_through)
         return start

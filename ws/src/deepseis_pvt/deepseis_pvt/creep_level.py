@@ -72,6 +72,15 @@ class CreepLevel:
         self._sum, self._noise = np.zeros(self.slots), np.zeros(self.slots)
         self._count: IntArray = np.zeros(self.slots, np.int64)
 
+    @property
+    def known(self) -> tuple[FloatArray, float, float]:
+        """What rest has told so far; to be set back to."""
+        return self._sums.copy(), self.walk_level, self.rate_level
+
+    @known.setter
+    def known(self, known: tuple[FloatArray, float, float]) -> None:
+        self._sums, self.walk_level, self.rate_level = known[0].copy(), *known[1:]
+
     def breaks(self, slots: IntArray) -> None:
         """Take account of biases that begin anew."""
         self._arc[slots] += 1

@@ -15,6 +15,7 @@ differences to a filtered past in place of the last epoch, so that nothing is in
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -22,17 +23,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from deepseis_core.config import check, setting
-from deepseis_core.constants import L1_WAVELENGTH
+from deepseis_core.config import check
+from deepseis_core.imu_grades import LEAST_HIDDEN
 from deepseis_core.types import FloatArray, IntArray
 from deepseis_pvt import phase_kernels as kernels
 from deepseis_pvt.creep_level import CreepLevel
+from deepseis_pvt.phase_values import PhaseConfig, PhaseEpoch, PhaseSolution
+from deepseis_pvt.rest_memory import STEP_S, RestMemory, hold
 from deepseis_pvt.still_reference import StillReference
 
 SLOTS: Final = 32
 """Satellites that the filter has room for: a slot for each GPS PRN."""
 CLOCK: Final = 3
 """Index of the clock in the free part; before it east, north, up."""
+FEWEST_BELIEVED: Final = 5
+"""Satellites whose arcs must reach back for what was learnt since to be forgotten."""
 LONGEST_GAP: Final = 60.0
 """A satellite that has been away for longer begins anew [s]."""
 STRESS_MEMORY: Final = 0.3
@@ -41,99 +46,21 @@ NOISE_SHOWN: Final = 1.6
 """Variance of a discriminator in a loop of 15 Hz and 20 ms, over that in open loop [-]."""
 STRESS_LIMIT: Final = 2.5
 """Lags of a variance beyond so many times that of noise are lags [-]."""
-WAVELENGTH_RAD: Final = L1_WAVELENGTH / (2.0 * np.pi)
-INTEGRATION: Final = 0.02
-"""Coherent integration of the squaring loss [s]."""
 
 
 @dataclass(frozen=True)
-class PhaseConfig:
-    """Settings of the displacement from phases.
+class Biases:
+    """State and covariance of the biases' filter, the arc of each slot, and how they creep.
 
-    What biases do is what real satellites show over a still antenna (`docs/positioning.md`): most
-    of it are the satellites' clocks. Simulated ones of the bench have none of it.
+    ``epoch`` is the one they are known after, ``noise`` the variance of its phases [m^2].
     """
 
-    phase_mask_deg: float = setting(10.0, "elevation mask [deg]", low=0.0, high=60.0)
-    loop_bandwidth_hz: float = setting(
-        8.0, "noise bandwidth of the carrier loops: noise by C/N0, white below it [Hz]", low=0.1
-    )
-    fallback_bandwidth_hz: float = setting(
-        50.0, "the same where a loop runs without the aiding that it ought to have [Hz]", low=0.1
-    )
-    phase_floor_sd: float = setting(
-        0.0003, "phase noise besides the thermal one, at the zenith [m]", low=0.0, high=0.05
-    )
-    bias_walk: float = setting(0.0008, "random walk of biases [m/sqrt(s)]", low=0.0, high=0.1)
-    bias_rate_sd: float = setting(0.0004, "rate of biases, at the zenith [m/s]", low=0.0, high=0.1)
-    bias_rate_memory_s: float = setting(
-        30.0, "correlation time of that rate [s]", low=1.0, high=1e5
-    )
-    calibration_s: float = setting(3.0, "stillness before displacements count [s]", low=0.1)
-    phase_false_alarm: float = setting(
-        1e-5, "of the outlier test, per epoch [-]", low=1e-12, high=0.1
-    )
-    max_slips: int = setting(3, "satellites excluded at most, per epoch", low=0, high=8)
-    noise_memory_s: float = setting(
-        10.0, "memory of the noise level that residuals show [s]", low=0.1, high=1e4
-    )
-
-    def variance(
-        self, cn0_dbhz: FloatArray, elevation: FloatArray, alone: NDArray[np.bool_] | None = None
-    ) -> FloatArray:
-        """Return the variance of phases' noise [m^2]; ``alone``: of loops that lack aiding."""
-        cn0 = 10.0 ** (cn0_dbhz / 10.0)
-        lone = np.zeros(cn0.shape, np.bool_) if alone is None else alone
-        bandwidth = np.where(lone, self.fallback_bandwidth_hz, self.loop_bandwidth_hz)
-        thermal = bandwidth / cn0 * (1.0 + 0.5 / (INTEGRATION * cn0))
-        floor = (self.phase_floor_sd / np.sin(elevation)) ** 2
-        return np.asarray(WAVELENGTH_RAD**2 * thermal + floor)
-
-
-@dataclass(frozen=True)
-class PhaseEpoch:
-    """Phases of one epoch, m satellites in ascending ``slot``.
-
-    ``residual`` [m] is against the surveyed antenna, ``design`` (m, 4) what displacement east,
-    north, up and clock add to it; ``slipped`` tells that a phase does not go on from the one
-    before, ``lock_time`` for how long it has gone on [s]. ``code_less_phase`` [m] gives the
-    codes' residuals: where the clock begins. ``lag`` is what discriminators say that the phases
-    lag behind, and its open-loop sigma [m]; None: nothing. ``alone`` are loops that lack the
-    aiding that they ought to have, and are wider; None: none.
-    """
-
-    time: float
-    interval: float
-    slot: IntArray
-    residual: FloatArray
-    design: FloatArray
-    elevation: FloatArray
-    cn0_dbhz: FloatArray
-    slipped: NDArray[np.bool_]
-    lock_time: FloatArray
-    code_less_phase: FloatArray
-    lag: tuple[FloatArray, FloatArray] | None = None
-    alone: NDArray[np.bool_] | None = None
-
-
-@dataclass(frozen=True)
-class PhaseSolution:
-    """One epoch: displacement [m] east, north, up and clock [m]; arrays aligned on the epoch's.
-
-    ``covariance`` is of both, ``common`` the part of it that stays the same for many epochs
-    (biases and the reference, not noise). ``used`` are the satellites of the solution,
-    ``refused`` those whose phases the others contradict.
-    """
-
-    displacement: FloatArray
-    clock: float
-    covariance: FloatArray
-    common: FloatArray
-    clock_noise: float
-    residual: FloatArray
-    used: NDArray[np.bool_]
-    refused: NDArray[np.bool_]
-    calibrated: bool
+    state: FloatArray
+    P: FloatArray
+    arc: IntArray
+    creep: tuple[FloatArray, float, float]
+    epoch: PhaseEpoch
+    noise: FloatArray
 
 
 @dataclass
@@ -176,6 +103,8 @@ class PhaseDisplacement:
         Covariance of what the loops make displacements lag behind [m^2].
     at_rest : bool
         At the last epoch the antenna was where ``reference`` says.
+    doubts : bool
+        At the last epoch a rest ended whose last part is not believed.
     """
 
     def __init__(
@@ -186,8 +115,10 @@ class PhaseDisplacement:
         self.state: FloatArray = np.zeros(2 * SLOTS)
         self.P: FloatArray = np.zeros((2 * SLOTS, 2 * SLOTS))
         self.reference = reference or StillReference()
-        self.noise_level, self.calibrated, self.at_rest = 1.0, 0.0, False
+        self.noise_level, self.calibrated, self.at_rest, self.doubts = 1.0, 0.0, False, False
         self.creep = CreepLevel(c.bias_walk**2, c.bias_rate_sd**2, c.bias_rate_memory_s, SLOTS)
+        self.memory = RestMemory[Biases](c.doubt_s)
+        self._arc: IntArray = np.zeros(SLOTS, np.int64)
         self._growth: FloatArray = np.zeros(SLOTS)
         self._seen: FloatArray = np.full(SLOTS, -np.inf)
         self._broken: NDArray[np.bool_] = np.zeros(SLOTS, np.bool_)
@@ -195,7 +126,7 @@ class PhaseDisplacement:
         self._lag: FloatArray = np.zeros((3, 3))
         self.stress: FloatArray = np.zeros((3, 3))
         self._limits = [float(chdtri(n, c.phase_false_alarm)) for n in range(1, SLOTS + 1)]
-        self.counts = {"slips_found": 0, "arcs": 0, "contradictions": 0}
+        self.counts = {"slips_found": 0, "arcs": 0, "contradictions": 0, "doubted": 0}
 
     @property
     def members(self) -> IntArray:
@@ -205,9 +136,14 @@ class PhaseDisplacement:
     def shift(self, slot: int, change: float) -> None:
         """Take account of a changed model: a satellite's residuals have moved by so much [m]."""
         self.state[slot] += change
+        for kept in self.memory.values():
+            kept.state[slot] += change
+            kept.epoch.residual[kept.epoch.slot == slot] += change
         self.creep.breaks(np.array([slot]))
 
-    def solve(self, epoch: PhaseEpoch, still: bool) -> PhaseSolution | None:
+    def solve(
+        self, epoch: PhaseEpoch, still: bool, hidden: float | None = None
+    ) -> PhaseSolution | None:
         """Work an epoch through; None if it has no solution.
 
         Parameters
@@ -215,13 +151,20 @@ class PhaseDisplacement:
         epoch : PhaseEpoch
         still : bool
             The antenna does not move, as far as others than the phases know.
+        hidden : float, optional
+            How far it may have moved before a motion was noticed [m]; as the settings say.
         """
         dt = self._drift(epoch)
         model = self.config.variance(epoch.cn0_dbhz, epoch.elevation, epoch.alone)
         noise = self.noise_level * model
         gap = epoch.time - self._seen[epoch.slot]
         self._broken[epoch.slot] |= epoch.slipped | (epoch.lock_time < gap - 0.5 * epoch.interval)
-        known = np.isfinite(gap) & ~self._broken[epoch.slot]
+        self.doubts = bool(self.memory) and (self.reference.moved or not still)
+        if self.doubts:
+            sd = self.config.hidden_motion_sd if hidden is None else hidden
+            self.doubts = sd >= LEAST_HIDDEN and self._doubt(epoch, sd)
+            self.memory.clear()
+        known = np.isfinite(self._seen[epoch.slot]) & ~self._broken[epoch.slot]
         innovation = epoch.residual - self.state[epoch.slot]
         free, refused = self._free(epoch, innovation, noise, known)
         solution = None
@@ -231,7 +174,37 @@ class PhaseDisplacement:
         self._calibrate(epoch, innovation, noise, known & ~refused, free, self.at_rest)
         self._watch_creep(epoch, model, ~(known & ~refused))
         self.calibrated += dt if self.at_rest and self.members.size >= CLOCK + 1 else 0.0
+        if self.at_rest and self.memory.due(epoch.time):
+            state, P, arc = self.state.copy(), self.P.copy(), self._arc.copy()
+            kept = Biases(state, P, arc, self.creep.known, epoch, noise)
+            self.memory.keep(epoch.time, kept)
         return solution
+
+    def _doubt(self, epoch: PhaseEpoch, sd: float) -> bool:
+        """Go back to what was known before the part of a rest that is not believed.
+
+        Of that part is believed that the antenna had moved no farther than ``sd`` [m] when its
+        last second was kept. False where too few arcs go back so far.
+        """
+        recalled = self.memory.recall(epoch.time)
+        if recalled is None:
+            return False
+        known, last = recalled
+        same = (known.arc == self._arc) & (last.arc == self._arc)
+        rest = last.epoch
+        goes_on = same[rest.slot]
+        if goes_on.sum() < FEWEST_BELIEVED:
+            return False
+        self.counts["doubted"] += 1
+        self.state, self.P, self.creep.known = known.state, known.P, known.creep
+        for begun in np.flatnonzero(~same).tolist():
+            self._forget(begun)
+        self._creep_for(rest.time - known.epoch.time)
+        slot, design = rest.slot[goes_on], rest.design[goes_on]
+        y = rest.residual[goes_on] - design[:, :CLOCK] @ self.reference.position
+        hold(self.state, self.P, slot, y - self.state[slot], design, last.noise[goes_on], sd)
+        self._creep_for(epoch.time - rest.time)
+        return True
 
     def _is_at_reference(self, time: float, still: bool, solution: PhaseSolution | None) -> bool:
         nothing = np.zeros((3, 3))
@@ -245,18 +218,26 @@ class PhaseDisplacement:
         """Carry the state to the epoch; forget satellites long gone."""
         dt = 0.0 if self._time is None else epoch.time - self._time
         self._time = epoch.time
-        c = self.config
         growth = 1.0 / np.sin(epoch.elevation) ** 2
         self._growth[epoch.slot] = growth
         if dt > 0.0:
-            kernels.propagate(
-                self.state, self.P, self.members, self.creep.walk_level * c.bias_walk**2,
-                self.creep.rate_level * c.bias_rate_sd**2 * self._growth, c.bias_rate_memory_s,
-                dt,
-            )  # fmt: skip
+            self._creep(dt)
         for slot in self.members[epoch.time - self._seen[self.members] > LONGEST_GAP]:
             self._forget(int(slot))
         return dt
+
+    def _creep(self, dt: float) -> None:
+        """Let biases creep on for a moment [s]."""
+        c = self.config
+        kernels.propagate(
+            self.state, self.P, self.members, self.creep.walk_level * c.bias_walk**2,
+            self.creep.rate_level * c.bias_rate_sd**2 * self._growth, c.bias_rate_memory_s, dt,
+        )  # fmt: skip
+
+    def _creep_for(self, seconds: float) -> None:
+        steps = math.ceil(seconds / STEP_S)
+        for _ in range(steps):
+            self._creep(seconds / steps)
 
     def _watch_creep(self, epoch: PhaseEpoch, noise: FloatArray, anew: NDArray[np.bool_]) -> None:
         """Let phases at rest tell how biases creep.
@@ -436,10 +417,12 @@ class PhaseDisplacement:
         self.P[np.ix_(slots, slots)] = block
         self._seen[epoch.slot] = epoch.time
         self._broken[slots] = False
+        self._arc[slots] += 1
         self.counts["arcs"] += len(slots)
 
     def _forget(self, slot: int) -> None:
         for index in (slot, SLOTS + slot):
             self.P[index, :] = self.P[:, index] = 0.0
             self.state[index] = 0.0
+        self._arc[slot] += 1
         self._seen[slot] = -np.inf

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from deepseis_core.config import setting
 from deepseis_core.constants import L1_WAVELENGTH, NS_PER_S, NS_PER_WEEK
 from deepseis_core.ephemeris import PACKED_COLUMNS, states_from_pseudoranges
+from deepseis_core.imu_grades import hidden_motion
 from deepseis_core.miss_log import EVER
 from deepseis_core.types import (
     FloatArray,
@@ -31,13 +32,8 @@ from deepseis_core.types import (
 )
 from deepseis_pvt import phase_kernels as kernels
 from deepseis_pvt.ephemeris_book import EphemerisBook
-from deepseis_pvt.phase_displacement import (
-    CLOCK,
-    PhaseConfig,
-    PhaseDisplacement,
-    PhaseEpoch,
-    PhaseSolution,
-)
+from deepseis_pvt.phase_displacement import CLOCK, PhaseDisplacement
+from deepseis_pvt.phase_values import PhaseConfig, PhaseEpoch, PhaseSolution
 from deepseis_pvt.spp import SppConfig
 from deepseis_pvt.still_reference import ReferenceConfig, StillReference
 
@@ -58,6 +54,10 @@ class PreciseConfig:
         "add what the loops' discriminators say of each phase: more noise, white, and no lag;"
         " phases of aided loops alone follow their aiding",
     )
+    imu_walk: float = setting(
+        0.002, "velocity random walk of that IMU: what it notices late [m/s/sqrt(s)]",
+        low=0.0, high=1.0,
+    )  # fmt: skip
     wait_base: bool = setting(False, "wait for base/observations at every epoch")
     still_until_s: float = setting(
         0.0,
@@ -77,6 +77,8 @@ class PhasePositions:
         Orbits and ionosphere; shared with the engine of positions.
     config, phase, reference, spp : optional
         Settings; of the last the models of the atmosphere.
+    sample_rate_hz : float, optional
+        Nominal IF rate [Hz].
     """
 
     def __init__(
@@ -87,7 +89,9 @@ class PhasePositions:
         phase: PhaseConfig | None = None,
         reference: ReferenceConfig | None = None,
         spp: SppConfig | None = None,
+        sample_rate_hz: float = 4e6,
     ) -> None:
+        self.sample_rate_hz = sample_rate_hz
         self.antenna: FloatArray = np.array(antenna_ecef, np.float64)
         self.config, self.book = config or PreciseConfig(), book
         self.models, self.witnessed = spp or SppConfig(), self.config.wait_motion
@@ -95,6 +99,7 @@ class PhasePositions:
         self._states: deque[MotionState] = deque()
         self._motion_valid = -1
         self._kind = int(MotionKind.UNKNOWN)
+        self._hidden: float | None = None
         self._orbits: dict[str, FloatArray] = {}
         self._used: dict[int, FloatArray] = {}
         self._klobuchar: FloatArray | None = None
@@ -136,7 +141,7 @@ class PhasePositions:
         time = (gps_ns - self._start_ns) / NS_PER_S
         still = self._still(min(o.sample_index, known), time)
         epoch, names = self._epoch(o, gps_ns, time)
-        solution = self.filter.solve(epoch, still)
+        solution = self.filter.solve(epoch, still, self._hidden)
         return nothing(o, PHASE) if solution is None else position_of(o, names, solution)
 
     def _still(self, sample_index: int, time: float) -> bool:
@@ -145,8 +150,16 @@ class PhasePositions:
             return self.config.still_until_s == 0.0 or time <= self.config.still_until_s
         # From the decision on: what it says of the past must not depend on when it arrives.
         while self._states and self._states[0].valid_through <= sample_index:
-            self._kind = self._states.popleft().state
+            decision = self._states.popleft()
+            if self._kind != decision.state:
+                self._hidden = self._hidden_at(decision)
+            self._kind = decision.state
         return self._kind == MotionKind.STATIC
+
+    def _hidden_at(self, decision: MotionState) -> float:
+        """Return how far the ground may have moved before a motion that the IMU found [m]."""
+        late = (decision.valid_through - decision.sample_index) / self.sample_rate_hz
+        return hidden_motion(self.config.imu_walk, max(0.0, late))[0]
 
     def _choose(
         self, o: Observations, gps_ns: int
@@ -263,11 +276,14 @@ def phase_positions(
     phase: PhaseConfig,
     reference: ReferenceConfig,
     spp: SppConfig,
+    sample_rate_hz: float,
 ) -> PhasePositions | None:
     """Return what solves for displacements; None where the antenna has not been surveyed."""
     if len(position_ecef) != 3:
         return None
-    return PhasePositions(np.array(position_ecef), book, config, phase, reference, spp)
+    return PhasePositions(
+        np.array(position_ecef), book, config, phase, reference, spp, sample_rate_hz
+    )
 
 
 def with_discriminator(observations: Observations) -> Observations:

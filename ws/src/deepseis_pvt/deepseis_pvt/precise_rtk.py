@@ -23,8 +23,9 @@ from deepseis_core.types import (
     TrackingFlag,
 )
 from deepseis_pvt.ephemeris_book import EphemerisBook
-from deepseis_pvt.phase_displacement import PhaseConfig
+from deepseis_pvt.phase_values import PhaseConfig
 from deepseis_pvt.precise import nothing
+from deepseis_pvt.rest_memory import RestMemory
 from deepseis_pvt.rtk import RtkConfig, RtkSolution, RtkSolver
 from deepseis_pvt.rtklib_values import BASE, ROVER, Navigation, fill_observations
 
@@ -102,10 +103,12 @@ class RtkPositions:
         self.solver: RtkSolver | None = None
         self._tied, self._started, self._in_row = False, False, 0
         self._offset, self._rested = np.zeros(3), 0.0
+        self._memory = RestMemory[tuple[FloatArray, float]](self.phase.doubt_s)
         self._given = len(base.base_position_ecef) == 3
         self._places: deque[tuple[int, FloatArray]] = deque()
         if self._given:
             self._stand(np.array(base.base_position_ecef, np.float64))
+        self.sample_rate_hz = sample_rate_hz
         self.latency = round(base.base_latency_s * sample_rate_hz)
         self._navigation, self._orbits = Navigation(), list[Ephemeris]()
         self._klobuchar: FloatArray | None = None
@@ -147,6 +150,12 @@ class RtkPositions:
         """All of the base's epochs through this sample have been pushed."""
         self._base_valid = max(self._base_valid, through)
 
+    def doubt(self, sample_index: int) -> None:
+        """Go back to the offset before the part of a rest that is not believed."""
+        recalled = self._memory.recall(sample_index / self.sample_rate_hz)
+        if recalled is not None:
+            self._offset, self._rested = recalled[0]
+
     def solve(
         self,
         observations: Observations,
@@ -178,6 +187,8 @@ class RtkPositions:
             base_time = GpsTime(self._base.week, self._base.tow_ns)
             self.base_age_s = later.diff_ns(base_time) / NS_PER_S
         self._take_place()
+        if rest is None:
+            self._memory.clear()
         self._tie(rest)
         solution = None
         if self._base is not None and self.solver is not None:
@@ -216,6 +227,7 @@ class RtkPositions:
         self.solver = RtkSolver(self.config, position)
         self._tied, self._started, self._in_row = False, False, 0
         self._offset, self._rested = np.zeros(3), 0.0
+        self._memory.clear()
 
     def _tie(self, rest: FloatArray | None) -> None:
         """Hold a resting antenna where it is until its ambiguities are known.
@@ -258,7 +270,7 @@ class RtkPositions:
         elif status == PreciseStatus.FIX:
             C, common = self._noise(o, base, solution)
             if rest is not None:
-                self._learn_offset(place - rest, o.interval)
+                self._learn_offset(place - rest, o)
             if self._rested > 0.0:
                 # The base's noise goes on for its interval: so many seconds are independent.
                 common = common + C / max(1.0, min(self._rested, OFFSET_MEMORY))
@@ -283,11 +295,14 @@ class RtkPositions:
             base_age=solution.age,
         )
 
-    def _learn_offset(self, offset: FloatArray, interval: float) -> None:
+    def _learn_offset(self, offset: FloatArray, o: Observations) -> None:
         """Follow what RTK says of an antenna at rest: base coordinates, atmosphere between."""
-        self._rested += interval
-        weight = interval / min(self._rested, OFFSET_MEMORY)
+        self._rested += o.interval
+        weight = o.interval / min(self._rested, OFFSET_MEMORY)
         self._offset = self._offset + weight * (offset - self._offset)
+        time = o.sample_index / self.sample_rate_hz
+        if self._memory.due(time):
+            self._memory.keep(time, (self._offset, self._rested))
 
     def _noise(
         self, o: Observations, base: Observations, solution: RtkSolution

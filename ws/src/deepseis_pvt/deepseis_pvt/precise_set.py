@@ -14,7 +14,7 @@ from deepseis_core.types import (
     PreciseStatus,
 )
 from deepseis_pvt.ephemeris_book import EphemerisBook
-from deepseis_pvt.phase_displacement import PhaseConfig
+from deepseis_pvt.phase_values import PhaseConfig
 from deepseis_pvt.precise import PhasePositions, PreciseConfig, phase_positions
 from deepseis_pvt.precise_rtk import BaseConfig, RtkPositions, rtk_positions
 from deepseis_pvt.rtk import RtkConfig
@@ -99,6 +99,8 @@ class PrecisePositions:
         found = self.phase.solve(observations, known.get("motion", EVER))
         values = [(PHASE_TOPIC, found)]
         if self.rtk is not None:
+            if self.phase.filter.doubts:
+                self.rtk.doubt(observations.sample_index)
             slipped = found.rejected if found.status != PreciseStatus.NONE else ()
             value = self.rtk.solve(
                 observations, slipped, self.phase.rest, self.phase.filter.stress,
@@ -121,7 +123,7 @@ def precise_positions(
 ) -> PrecisePositions:
     """Return what solves for precise positions, as far as antenna and base are known."""
     return PrecisePositions(
-        phase_positions(position_ecef, book, config, phase, reference, spp),
+        phase_positions(position_ecef, book, config, phase, reference, spp, sample_rate_hz),
         rtk_positions(
             position_ecef, book, rtk, base, sample_rate_hz, phase, is_there=config.wait_base
         ),

@@ -12,7 +12,7 @@ from deepseis_core.rehearsal import MONUMENT_ECEF, TOW_MS, WEEK, Receiver, ephem
 from deepseis_core.types import MotionKind, MotionState, Observations
 from deepseis_pvt.assisted_start import Assistance
 from deepseis_pvt.observables import ObservablesConfig
-from deepseis_pvt.phase_displacement import PhaseConfig
+from deepseis_pvt.phase_values import PhaseConfig
 from deepseis_pvt.precise import PreciseConfig
 from deepseis_pvt.precise_rtk import BaseConfig
 from deepseis_pvt.precise_set import PrecisePositions, precise_positions

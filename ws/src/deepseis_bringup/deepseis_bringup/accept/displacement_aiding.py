@@ -15,7 +15,7 @@ from deepseis_bringup.accept.scene import Loop, Outcome, Scene, Work, aided
 from deepseis_bringup.accept.tables import Goal, Row
 
 TABLE: Final = "Narrow loop (3 Hz): what precise positions gain"
-SCENES: Final = ("sine-2hz", "shake-table")
+SCENES: Final = ("sine-2hz", "quake", "shake-table")
 LOOSE: Final = "aided from 1 Hz pseudoranges"
 PRECISE: Final = "aided from precise positions"
 LIMIT: Final = 1.10
@@ -23,9 +23,12 @@ LIMIT: Final = 1.10
 
 def narrow_loops() -> tuple[Loop, Loop]:
     """Return the loops: aided by precise positions, and by pseudoranges once a second."""
-    by_phases = replace(aided(3.0), name=PRECISE)
+    by_phases = replace(aided(3.0), name=PRECISE, fusion={"rtk": False})
     by_codes = replace(
-        by_phases, name=LOOSE, fusion={"precise": False}, nodes={"pvt": {"pvt_rate_hz": 1.0}}
+        by_phases,
+        name=LOOSE,
+        fusion={"precise": False, "rtk": False},
+        nodes={"pvt": {"pvt_rate_hz": 1.0}},
     )
     return by_phases, by_codes
 

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from deepseis_bringup.accept.displacement_figures import step_figures
-from deepseis_bringup.accept.displacement_streams import FUSED, PHASES, RTK, Stream, shake
+from deepseis_bringup.accept.displacement_streams import BASED, FUSED, PHASES, RTK, Stream, shake
 from deepseis_bringup.accept.scene import RATE_HZ, Scene, Work, aided
 from deepseis_bringup.accept.tables import Goal, Row
 from deepseis_core.rotation import matrix_from_quat
@@ -94,7 +94,7 @@ def _rows(
 ) -> list[Row]:
     left = 1e3 * error.between(*after).moved
     shaking = 1e3 * np.linalg.norm(error.between(*whole).moved, axis=1)
-    bound = Goal.at_most(HELD) if name in (FUSED, PHASES, RTK) else None
+    bound = Goal.at_most(HELD) if name in (FUSED, BASED, PHASES, RTK) else None
     printed = "metres" if name == INTEGRATED else None
     missing = not len(left)
     off = float("nan") if missing else float(np.linalg.norm(left.mean(axis=0)))
@@ -102,5 +102,5 @@ def _rows(
     return [
         Row(TABLE, where, "step off by, in space", "mm", off, printed, bound),
         Row(TABLE, where, "greatest error, in space", "mm", greatest, None,
-            Goal.at_most(HELD) if name == FUSED else None),
+            Goal.at_most(HELD) if name in (FUSED, BASED) else None),
     ]  # fmt: skip

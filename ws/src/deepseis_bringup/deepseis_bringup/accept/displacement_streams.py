@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from deepseis_bringup.accept.position import true_position
 from deepseis_bringup.accept.scene import Loop, Outcome, Scene
-from deepseis_bringup.offline import Output
+from deepseis_bringup.offline import BESIDE, Output
 from deepseis_core.types import (
     Displacement,
     DisplacementSource,
@@ -25,7 +25,9 @@ from deepseis_core.types import (
 LONGEST_LAG: Final = 0.2
 """Searched on both sides [s]."""
 PHASES, RTK, FUSED = "phases alone", "RTK", "fused"
-"""Streams of a run."""
+"""Streams of a run; the fusion that aids its loops follows the station's own phases."""
+BASED: Final = "fused with the base"
+"""The same by a fusion that follows RTK and runs along."""
 Truth = Callable[[FloatArray], FloatArray]
 """Displacement at times, (m, 3) [m]."""
 
@@ -137,7 +139,7 @@ class Listener:
     def __init__(self, start_tow_ns: int) -> None:
         self.start_tow_ns = start_tow_ns
         self._positions: dict[str, list[PrecisePosition]] = {"gnss/precise": [], "gnss/rtk": []}
-        self._fused: list[Displacement] = []
+        self._fused: dict[str, list[Displacement]] = {FUSED: [], BASED: []}
         self.rtk_epochs = 0
 
     def __call__(self, output: Output) -> None:
@@ -148,16 +150,18 @@ class Listener:
             least = PreciseStatus.FIX if output.topic == "gnss/rtk" else PreciseStatus.PHASE
             if value.status >= least:
                 self._positions[output.topic].append(value)
-        fused = output.topic == "seismo/displacement"
-        if fused and value.source == DisplacementSource.FUSED and not value.smoothed:
-            self._fused.append(value)
+        moved = output.topic.endswith("seismo/displacement")
+        if moved and value.source == DisplacementSource.FUSED and not value.smoothed:
+            based = output.topic.startswith(BESIDE)
+            self._fused[BASED if based else FUSED].append(value)
 
     def streams(self) -> dict[str, Stream]:
         """Return what came out, by its name."""
         return {
             PHASES: self._of_positions("gnss/precise"),
             RTK: self._of_positions("gnss/rtk"),
-            FUSED: self._of_fused(),
+            FUSED: self._of_fused(FUSED),
+            BASED: self._of_fused(BASED),
         }
 
     def _of_positions(self, topic: str) -> Stream:
@@ -167,8 +171,8 @@ class Listener:
         variance = [np.diag(np.reshape(item.covariance_enu, (3, 3))) for item in values]
         return Stream(self._seconds(times), moved, np.sqrt(np.reshape(variance, (-1, 3))))
 
-    def _of_fused(self) -> Stream:
-        parts = self._fused
+    def _of_fused(self, name: str) -> Stream:
+        parts = self._fused[name]
         if not parts:
             return NOTHING
         times = np.concatenate([item.tow_ns for item in parts])
@@ -210,12 +214,16 @@ class Shaken:
 
 
 def shake(scene: Scene, loops: Sequence[Loop], say: Callable[[str], None]) -> Shaken:
-    """Work through a scene with every loop."""
+    """Work through a scene with every loop, aided by a fusion without the base.
+
+    Another one, that follows RTK, runs along where there is a base.
+    """
     runs = []
     for loop in loops:
         say(f"{scene.name}: {loop.name}")
         listener = Listener(scene.scenario.start.time.tow_ns)
-        outcome = scene.run(loop, listener)
+        alone = replace(loop, fusion={**loop.fusion, "rtk": False}) if loop.aiding else loop
+        outcome = scene.run(alone, listener, loop if loop.aiding and scene.base else None)
         runs.append(Run(loop, outcome, listener.streams(), listener.rtk_epochs))
     return Shaken(scene, truth_of(scene), runs)
 

@@ -191,10 +191,21 @@ class Recorded:
         parameters["fusion"]["nav_file"] = str(self.nav_file)
         return parameters
 
-    def run(self, loop: Loop, listen: Callable[[Output], None] | None = None) -> Outcome:
-        """Work through the recording with a loop, in this process."""
+    def run(
+        self,
+        loop: Loop,
+        listen: Callable[[Output], None] | None = None,
+        beside: Loop | None = None,
+    ) -> Outcome:
+        """Work through the recording with a loop, in this process.
+
+        The fusion of ``beside`` runs along on the same inputs, without aiding the loops.
+        """
         tracks, pvts = Tracks(), []
-        for output in OfflineChain(self.config(loop)).run():
+        chain = OfflineChain(self.config(loop))
+        if beside is not None:
+            chain.beside.append(chain.make_inertial(self.config(beside)))
+        for output in chain.run():
             if output.topic.startswith("tracking/"):
                 tracks.add(output.value)
             elif output.topic == "gnss/pvt":

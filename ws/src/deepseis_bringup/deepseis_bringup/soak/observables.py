@@ -38,7 +38,7 @@ from deepseis_core.types import (
     PvtStatus,
 )
 from deepseis_pvt.ephemeris_book import EphemerisBook
-from deepseis_pvt.phase_displacement import PhaseConfig
+from deepseis_pvt.phase_values import PhaseConfig
 from deepseis_pvt.precise import PreciseConfig
 from deepseis_pvt.precise_rtk import BaseConfig
 from deepseis_pvt.precise_set import precise_positions

@@ -33,7 +33,7 @@ from deepseis_msgs.msg import Observations, PrecisePosition, Pvt, Watermark
 from deepseis_pvt.assisted_start import assistance_of
 from deepseis_pvt.epoch_deadline import EpochDeadline
 from deepseis_pvt.observables import ObservablesConfig
-from deepseis_pvt.phase_displacement import PhaseConfig
+from deepseis_pvt.phase_values import PhaseConfig
 from deepseis_pvt.precise import PreciseConfig
 from deepseis_pvt.precise_rtk import BaseConfig
 from deepseis_pvt.precise_set import PHASE_TOPIC, RTK_TOPIC, precise_positions
