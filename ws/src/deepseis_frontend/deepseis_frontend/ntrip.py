@@ -1,5 +1,7 @@
 """Addresses of live bases, and the connection to one: TCP, or NTRIP 2 and 1, plain or by TLS.
 
+A base may be another station in the same ROS domain too: ``station://NAME`` (`base_topic`).
+
 References
 ----------
 RTCM 10410.1, NTRIP 2.0: HTTP/1.1 with ``Ntrip-Version``; a caster of version 1 answers
@@ -11,6 +13,7 @@ from __future__ import annotations
 import base64
 import netrc
 import os
+import re
 import socket
 import ssl
 from contextlib import suppress
@@ -20,12 +23,16 @@ from urllib.parse import unquote, urlsplit
 
 from deepseis_core.errors import InputError
 
-PORTS: Final = {"ntrip": 2101, "ntrips": 443, "tcp": 0}
+STATION: Final = "station"
+PORTS: Final = {"ntrip": 2101, "ntrips": 443, "tcp": 0, STATION: 0}
 """Schemes, and the port where none is given."""
 PASSWORD_VARIABLE: Final = "DEEPSEIS_NTRIP_PASSWORD"
 TIMEOUT_S: Final = 10.0
 _HEAD_BYTES: Final = 16384
-_HINT: Final = "such as ntrip://name@caster.example:2101/MOUNT or tcp://host:port"
+_HINT: Final = (
+    "such as ntrip://name@caster.example:2101/MOUNT, tcp://host:port, or station://NAME in ROS"
+)
+_STATION_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 class RefusedError(OSError):
@@ -34,7 +41,7 @@ class RefusedError(OSError):
 
 @dataclass(frozen=True)
 class Address:
-    """Where a stream of RTCM 3 comes from.
+    """Where a stream of RTCM 3 comes from, or whose topics are listened to (``host``).
 
     Passwords are not part of it, for settings are recorded: they come from the environment
     (``DEEPSEIS_NTRIP_PASSWORD``) or from ``~/.netrc``.
@@ -48,6 +55,8 @@ class Address:
 
     def __str__(self) -> str:
         """Return it without the user."""
+        if self.scheme == STATION:
+            return f"{STATION}://{self.host}"
         return f"{self.scheme}://{self.host}:{self.port}" + (
             f"/{self.mount}" if self.mount else ""
         )
@@ -88,8 +97,15 @@ def address_of(text: str) -> Address:
     Address(scheme='ntrip', host='caster.example', port=2101, mount='BASE0', user='me')
     >>> str(address_of("tcp://10.0.0.7:5015"))
     'tcp://10.0.0.7:5015'
+    >>> str(address_of("station://KOBE"))
+    'station://KOBE'
     """
     parts = urlsplit(text)
+    if parts.scheme == STATION:
+        name = parts.netloc
+        if not _STATION_NAME.fullmatch(name) or parts.path.strip("/"):
+            raise InputError(f"base address {text!r}", "names no station", _HINT)
+        return Address(STATION, name, 0)
     if parts.password is not None:
         hint = f"put it into {PASSWORD_VARIABLE} or ~/.netrc: settings are recorded"
         raise InputError("base address", "holds a password", hint)

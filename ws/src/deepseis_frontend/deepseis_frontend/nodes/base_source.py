@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
+from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
@@ -18,10 +20,14 @@ from deepseis_core.types import Observations as ObservationsValue
 from deepseis_frontend.base_events import BaseReference, utc_of
 from deepseis_frontend.base_link import BaseLink
 from deepseis_frontend.base_player import BasePlayer
+from deepseis_frontend.base_topic import StationBase
 from deepseis_frontend.if_bag import IfBag
 from deepseis_frontend.nodes.base_open import base_events
-from deepseis_frontend.ntrip import address_of, is_address
+from deepseis_frontend.ntrip import STATION, Address, address_of, is_address
 from deepseis_msgs.msg import Observations, Station, Watermark
+
+JOIN_S: Final = 5.0
+"""From another station's first word to our listening to its epochs: its own have joined [s]."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +38,7 @@ class SourceConfig:
     base: str = setting(
         "",
         "a bag, RINEX, or RTCM 3: a file, ntrip://user@host:port/MOUNT, ntrips://, tcp://host:port;"
-        " empty: the base is in `file` [-]",
+        " station://NAME: another station's topics; empty: the base is in `file` [-]",
     )
     sample_rate_hz: float = setting(4e6, "with base: IF sampling rate [Hz]", low=1e5)
     start_utc_ns: int = setting(0, "with base: UTC of sample 0 [ns since 1970]")
@@ -47,6 +53,8 @@ class SourceConfig:
 class BaseSourceNode(Node):
     """In: flow/if_source. Out: base/observations, base/reference. Parameters: SourceConfig.
 
+    With ``station://NAME`` /NAME/station and /NAME/gnss/observations too.
+
     An epoch follows the IF samples of its time, so it never runs ahead of the signal; that there
     is none is said by the watermark, and nobody waits for a base that is silent. Watermarks count
     epochs and references together.
@@ -57,14 +65,15 @@ class BaseSourceNode(Node):
         self.flow = Flow(self, process, "base_source", declare(self, FlowConfig))
         config = declare(self, SourceConfig)
         reject_unknown(self)
-        self.link: BaseLink | None = None
+        self.link: BaseLink | StationBase | None = None
+        self.heard_since: float | None = None
         if config.base:
             self.clock = SampleClock(config.start_utc_ns, config.sample_rate_hz)
         else:
             signal = IfBag(config.file)
             self.clock = SampleClock(signal.start_utc_ns or 0, signal.sample_rate_hz)
         if is_address(config.base):
-            self.link = BaseLink(address_of(config.base), self.clock, config.base_silence_s)
+            self.link = self.open(address_of(config.base), config.base_silence_s)
         source = self.link or base_events(config.base or config.file, self.clock)
         waits = self.flow.lockstep
         self.player = BasePlayer(source, self.clock, config.base_stale_s, waits=waits)
@@ -78,6 +87,34 @@ class BaseSourceNode(Node):
             self.health = self.create_publisher(DiagnosticArray, "/diagnostics", qos.STREAM)
             every(self, 0.02, self.work)
         self.flow.follow(["if_source"], self.on_source)
+
+    def open(self, address: Address, silence_s: float) -> BaseLink | StationBase:
+        """Connect to a live base.
+
+        Another station's members wait for each other by counting who listens to them, so we listen
+        to what it says latched, and to its epochs once it has run for a while.
+        """
+        if address.scheme != STATION:
+            return BaseLink(address, self.clock, silence_s)
+        base, name = StationBase(address, self.clock), address.host
+        codecs.subscribe(self, codecs.STATION, f"/{name}/station", base.push_station, qos.LATCHED)
+
+        def listen() -> None:
+            if not base.connected:
+                return
+            self.heard_since = self.heard_since or time.monotonic()
+            if time.monotonic() - self.heard_since > JOIN_S:
+                timer.cancel()
+                codecs.subscribe(
+                    self,
+                    codecs.OBSERVATIONS,
+                    f"/{name}/gnss/observations",
+                    lambda epoch, _utc_ns: base.push_epoch(epoch),
+                    qos.STREAM,
+                )
+
+        timer = every(self, 0.2, listen)
+        return base
 
     def on_source(self, msg: Watermark) -> None:
         """Take how far the signal is."""
