@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from live_feed import SATELLITES, START, Feed
 
 from deepseis_bringup.live.frames import LONGEST_S, FrameWriter
 from deepseis_bringup.live.model import LiveModel
-from deepseis_core.types import TrackingMode
+from deepseis_core.types import Lli, TrackingMode
 
 
 class Clock:
@@ -182,6 +183,33 @@ def test_silence_is_told(model):
     assert state["silent_s"]["motion"] == pytest.approx(5.0, abs=0.2)
     assert all(row["silent_s"] >= 5.0 for row in state["satellites"])
     assert state["diagnostics"][0]["silent_s"] >= 5.0
+
+
+def test_slips_are_losses_of_a_phase_that_was_there(model):
+    """Marks of one satellite: it begins, its polarity is known, it slips, it is lost and back."""
+    feed = Feed(model)
+    feed.loops(100)
+    whole = model.satellites
+    told = [Lli.SLIP | Lli.HALF_CYCLE, Lli.HALF_CYCLE, Lli.SLIP, 0, Lli.SLIP, 0]
+    told += [Lli.SLIP | Lli.HALF_CYCLE, Lli.HALF_CYCLE, Lli.SLIP, 0]
+    counts = []
+    for lli in told:
+        whole.take_observations(
+            SimpleNamespace(satellites=("G30",), lli=np.array([lli]), lock_time=np.zeros(1))
+        )
+        counts.append(whole._seen["G30"].slips)
+    assert counts == [0, 0, 0, 0, 1, 1, 2, 2, 2, 2]
+
+
+def test_after_the_end_the_last_picture_stays_as_it_was(model):
+    feed = Feed(model)
+    feed.advance(1.0)
+    model.take_source(feed.step * 80_000, 0, ended=True)
+    before = model.state()
+    model.clock.now += 600.0
+    assert model.state() == before
+    assert before["satellites"]
+    assert before["silent_s"]["motion"] < 1.0
 
 
 def test_an_empty_model_has_a_state_too(model):

@@ -49,6 +49,8 @@ class UtcMoment:
 
         Examples
         --------
+        >>> UtcMoment.of_gps_ns(GpsTime.from_utc_calendar(2026, 1, 2, 3, 4, 0).total_ns).iso(0)
+        '2026-01-02T03:04:00Z'
         >>> UtcMoment.of_gps_ns(GpsTime.from_utc_calendar(2016, 12, 31, 23, 59, 60 * 10**9 + 5000)
         ...     .total_ns).iso()
         '2016-12-31T23:59:60.000005Z'
@@ -58,7 +60,8 @@ class UtcMoment:
         second, rest = divmod(ns + NS_PER_S * self.leap, NS_PER_S)
         date = np.datetime64(self.day_ns // DAY_NS, "D")
         clock = f"{minutes // 60:02d}:{minutes % 60:02d}:{second:02d}"
-        return f"{date}T{clock}.{rest:09d}"[: 20 + digits] + "Z"
+        fraction = f".{rest:09d}"[: 1 + digits] if digits else ""
+        return f"{date}T{clock}{fraction}Z"
 
 
 def cut_at_days(gps_ns: IntArray) -> Iterator[slice]:

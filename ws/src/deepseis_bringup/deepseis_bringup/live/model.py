@@ -273,11 +273,12 @@ class LiveModel:
 
     def state(self) -> dict[str, Any]:
         """Return all but the traces, as JSON can hold it."""
-        now = self.clock()
+        # After the end it is always now: the last picture stays.
+        now = max(self._heard.values()) if self.ended else self.clock()
         still = self._motion_state
         statuses = [
             {key: value for key, value in item.items() if key != "heard"}
-            | {"silent_s": number(now - item["heard"], 1)}
+            | {"silent_s": number(max(0.0, now - item["heard"]), 1)}
             for _, item in sorted(self._diagnostics.items())
         ]
         return {

@@ -34,7 +34,11 @@ def number(value: float, digits: int) -> float | None:
 
 @dataclass
 class _Seen:
-    """What is known of one satellite; ``heard`` by the model's clock [s]."""
+    """What is known of one satellite.
+
+    ``heard`` is by the model's clock [s]; ``is_half``: its last phase may be off by half a cycle,
+    None: it had none yet.
+    """
 
     epochs: TrackingEpochs | None = None
     azimuth: float = math.nan
@@ -43,6 +47,7 @@ class _Seen:
     used: bool = False
     rejected: bool = False
     slips: int = 0
+    is_half: bool | None = None
     lock_time: float = math.nan
     heard: float = -math.inf
 
@@ -77,11 +82,16 @@ class SatelliteTable:
             self._of(satellite).rejected = True
 
     def take_observations(self, epoch: Observations) -> None:
-        """Count slips; take the time since the last one."""
-        slipped = (np.asarray(epoch.lli) & Lli.SLIP) != 0
+        """Count slips; take the time since the last one.
+
+        A phase is marked, too, where it begins and where its polarity becomes known: that is none.
+        """
         for k, satellite in enumerate(epoch.satellites):
-            seen = self._of(satellite)
-            seen.slips += bool(slipped[k])
+            seen, lli = self._of(satellite), int(epoch.lli[k])
+            is_half = bool(lli & Lli.HALF_CYCLE)
+            goes_on = seen.is_half is not None and (is_half or not seen.is_half)
+            seen.slips += bool(lli & Lli.SLIP) and goes_on
+            seen.is_half = is_half
             seen.lock_time = float(epoch.lock_time[k])
 
     def rows(self, now: float) -> list[dict[str, Any]]:

@@ -1,7 +1,7 @@
 // Two small charts: innovations of the filter, and how far the graph is behind its source.
 
 import { colours, drawDots, drawEnvelope, extent, prepare, roundUp } from "./canvas.js";
-import { digits } from "./format.js";
+import { milliseconds } from "./format.js";
 import { line } from "./traces.js";
 
 const SIGMAS = 5;
@@ -63,7 +63,7 @@ export function drawLatency(canvas, store) {
   line(context, 0, y(scale) + 0.5, width, y(scale) + 0.5);
   context.fillStyle = colour.muted;
   context.textAlign = "left";
-  context.fillText(`${digits(scale, 1)} ms`, 3, y(scale) - 3);
+  context.fillText(milliseconds(scale), 3, y(scale) - 3);
   context.strokeStyle = colour.accent;
   context.lineWidth = 1.1;
   drawEnvelope(context, view, 0, view.first, view.x, y, 1 / view.ratio);
@@ -76,5 +76,5 @@ export function latencyText(store) {
   const { ring } = found;
   const values = ring.values.slice(ring.from(store.newest - SECONDS), ring.end).sort();
   if (!values.length) return "";
-  return `median ${digits(values[values.length >> 1], 2)} ms, most ${digits(values.at(-1), 2)} ms`;
+  return `median ${milliseconds(values[values.length >> 1])}, most ${milliseconds(values.at(-1))}`;
 }

@@ -36,6 +36,11 @@ export function withUnit(quantity, value, size = Math.abs(value)) {
   return [digits(value * factor), unit];
 }
 
+/** Write a time that is given in milliseconds. */
+export function milliseconds(value) {
+  return value < 1000 ? `${digits(value, 2)} ms` : `${digits(value / 1000, 2)} s`;
+}
+
 const two = (number) => String(number).padStart(2, "0");
 
 /** Time of day, UTC; `tenths` for tenths of seconds. */

@@ -1,6 +1,6 @@
 // Everything that is not a picture: header, event, satellites, filter, motion state, diagnostics.
 
-import { NONE, clock, day, digits, fixed, put, putValue, span, withUnit } from "./format.js";
+import { NONE, clock, day, digits, fixed, milliseconds, put, putValue, span, withUnit } from "./format.js";
 import { kindOf } from "./sky.js";
 
 const $ = (id) => document.getElementById(id);
@@ -54,7 +54,7 @@ export function showHeader(state) {
   const used = pvt.used === undefined ? "" : `${pvt.used} satellites, PDOP ${pvt.pdop ?? NONE}`;
   pill("fix", fixed ? "good" : "", fixed ? `${pvt.status} fix` : "no fix", used || "no position yet");
   const shown = state.shown;
-  pill("delay", "", shown ? `${digits(shown.median_ms, 2)} ms` : NONE, "sample to screen");
+  pill("delay", "", shown ? milliseconds(shown.median_ms) : NONE, "sample to screen");
 }
 
 function position({ latitude_deg: latitude, longitude_deg: longitude, height_m: height }) {
@@ -131,7 +131,7 @@ function satellite(tr, item) {
   const level = Math.max(0, Math.min(1, ((item.cn0_dbhz ?? 0) - 15) / 40));
   cn0.firstElementChild.style.setProperty("--level", level.toFixed(3));
   put(cn0.lastElementChild, item.cn0_dbhz?.toFixed(1) ?? NONE);
-  const trouble = item.aid_diverged ? " (aid dropped)" : item.aid_missed ? " (aid late)" : "";
+  const trouble = item.aid_diverged ? ", dropped" : item.aid_missed ? ", late" : "";
   put(loop, item.mode + trouble);
   put(lock, item.phase_lock ? item.phase_lock_indicator?.toFixed(2) ?? NONE : item.code_lock ? "code" : "none");
   put(age, item.aid_age_ms === null || item.aid_age_ms === undefined ? NONE : item.aid_age_ms.toFixed(0));
