@@ -34,7 +34,7 @@ SECONDS, FIRST_FIX = 8.0, 4.0
 NOISE = {s: 0.004 * (k + 1) for k, s in enumerate(SATELLITES)}  # [cycles] of the NCO
 MONUMENT = ecef_from_geodetic([0.6, 2.4, 50.0])
 OFFSET = np.array([3.0, -1.0, 2.0])  # [m] east, north, up of all solutions
-LOCKED = 1 | 2 | 4 | 8
+LOCKED, GAP = 1 | 2 | 4 | 8, 256
 
 
 def zero(kind):
@@ -72,7 +72,7 @@ def true_phase(satellite, t):
     return (500.0 + 300.0 * SATELLITES.index(satellite)) * t
 
 
-def write_tracking(bag, noise):
+def write_tracking(bag, noise, gap_s=None):
     for k in range(int(SECONDS * RATE / BLOCK)):
         stamp, sample, t = START_NS + k * 20_000_000, k * BLOCK, k * BLOCK / RATE
         clock = 40.0 * t + 3.0 * np.sin(t)  # [cycles] common to all: the receiver's oscillator
@@ -91,7 +91,7 @@ def write_tracking(bag, noise):
                 "cn0_dbhz": [42.0],
                 "phase_lock_indicator": [1.0],
                 "aid_doppler_hz": [np.nan],
-                "flags": [LOCKED if t >= 1.0 else 1],
+                "flags": [(LOCKED if t >= 1.0 else 1) | (GAP if t == gap_s else 0)],
             }
             put(
                 bag,
@@ -133,10 +133,10 @@ def write_solutions(bag, noise):
 
 @pytest.fixture(scope="module")
 def make_run(tmp_path_factory):
-    def make(fixed=True):
+    def make(fixed=True, gap_s=None):
         folder, noise = tmp_path_factory.mktemp("run"), np.random.default_rng(1)
         with BagWriter(folder / "bag", definitions=Definitions(TEXTS)) as bag:
-            write_tracking(bag, noise)
+            write_tracking(bag, noise, gap_s)
             if fixed:
                 write_solutions(bag, noise)
         t = np.arange(0.0, SECONDS, 0.01)
@@ -238,6 +238,14 @@ def test_a_run_without_position_says_so(make_run):
     html = (folder / "report.html").read_text(encoding="utf-8")
     assert "tracked to phase lock; no position." in html
     assert "Horizontal position" not in html
+
+
+def test_a_gap_without_recorded_samples_is_of_unknown_length(make_run):
+    folder = make_run(gap_s=5.0)
+    summary = report.write_report(folder, title="gap")
+    assert summary["gaps"] == 1
+    assert "lost_samples" not in summary
+    assert "1 gap" in (folder / "report.html").read_text(encoding="utf-8")
 
 
 def test_a_run_that_tracked_nothing_has_a_page_too(tmp_path):

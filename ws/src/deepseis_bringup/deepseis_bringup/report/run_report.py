@@ -207,7 +207,8 @@ def _plain(item: tuple[str, Any]) -> tuple[str, Any]:
         value = value.item()
     if isinstance(value, float):
         return key, float(f"{value:.9g}") if math.isfinite(value) else None
-    return key, value if isinstance(value, str | int | bool | list) else str(value)
+    known = value is None or isinstance(value, str | int | bool | list)
+    return key, value if known else str(value)
 
 
 def _write(path: Path, text: str) -> None:
