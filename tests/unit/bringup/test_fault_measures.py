@@ -58,8 +58,25 @@ def test_a_slip_without_a_mark_is_found_once(step: float) -> None:
 
 
 def test_a_slip_that_is_marked_is_none() -> None:
-    (found,) = wrong_cycles(observed({10.0: 3.5}, marks=(10.0,)), truth(), 2.0, 18.0)
+    (found,) = wrong_cycles(observed({10.0: 3.0}, marks=(10.0,)), truth(), 2.0, 18.0)
     assert (found.changes, found.epochs, found.marks) == (0, 0, 1)
+
+
+def test_half_a_cycle_has_to_be_told_by_a_mark_of_its_own() -> None:
+    (found,) = wrong_cycles(observed({12.0: 0.5}, marks=(12.0,)), truth(), 2.0, 18.0)
+    assert found.epochs == pytest.approx(300, abs=1)
+    (told,) = wrong_cycles(
+        observed({12.0: 0.5}, marks=(12.0,), half=(12.0, 18.0)), truth(), 2.0, 18.0
+    )
+    assert told.epochs == 0
+
+
+def test_a_short_arc_of_a_loop_under_stress_has_the_place_of_the_others() -> None:
+    """It swings by 0.2 cycles about it, and is cut where it is farthest."""
+    steps = {10.0: -0.2, 10.02: 0.1, 10.04: 0.1, 10.06: 0.1, 10.08: 0.1, 10.12: -0.2}
+    (found,) = wrong_cycles(observed(steps, marks=(10.0, 10.12)), truth(), 2.0, 18.0)
+    assert (found.changes, found.epochs) == (0, 0)
+    assert 0.18 < found.greatest < 0.25
 
 
 def test_a_mark_that_comes_late_leaves_epochs_that_are_wrong() -> None:

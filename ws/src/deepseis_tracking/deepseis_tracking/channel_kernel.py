@@ -142,6 +142,8 @@ def _after_integration(
         state.code_slope = config.dll_gain * code_error
         if may_have_slipped(state, error, i * i + q * q - 2.0, period) and state.phase_lock == 1:
             state.pending_flags |= SLIP
+        if state.phase_lock == 0 or state.pending_flags & SLIP:
+            state.polarity = 0  # half a cycle may be lost: the next subframe tells
     elif state.weak > 0:
         state.phase_lock = 0  # the phase turns: what looks like lock is none
         state.code_slope = config.dll_fast_gain * code_error

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from deepseis_bringup.accept.figures import mark
 from deepseis_bringup.accept.scene import Scene
 from deepseis_bringup.faults.cases import Case
-from deepseis_bringup.faults.measures import constant_of
+from deepseis_bringup.faults.measures import deviations
 from deepseis_bringup.faults.record import RunRecord, positions
 from deepseis_bringup.report.plot import PALETTE, Figure, Row, envelope, nice_span, rows_panel
 from deepseis_core.types import FloatArray, Lli
@@ -70,7 +70,7 @@ def _phases(case: Case, scene: Scene, record: RunRecord) -> Figure:
         constant = phase[inside] + CubicSpline(scene.truth.t, column)(t)
         marks[:1] = True
         arcs = np.split(np.arange(t.size), np.flatnonzero(marks)[1:])
-        off = np.concatenate([constant[a] - constant_of(constant[a]) for a in arcs if a.size])
+        off = np.concatenate(deviations(constant, arcs))
         colour = PALETTE[k % len(PALETTE)]
         count = int(marks[1:].sum())
         rows.append(Row(name, colour, *envelope(t, np.clip(off, -1.0, 1.0)), f"{count}", ""))
@@ -78,8 +78,7 @@ def _phases(case: Case, scene: Scene, record: RunRecord) -> Figure:
     mark(panel.layout, (case.begin, case.end))
     return Figure(
         f"Carrier phases, {case.label}",
-        "Less the truth, what each arc has most of the time taken off; rows span half a cycle "
-        "either way, at the right the number of loss-of-lock marks. A step without a mark would "
-        "be wrong.",
+        "Less the truth and whole cycles of each arc; rows span half a cycle either way, at "
+        "the right the number of loss-of-lock marks. A step without a mark would be wrong.",
         [panel],
     )

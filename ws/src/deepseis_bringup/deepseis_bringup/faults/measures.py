@@ -12,7 +12,7 @@ from scipy.ndimage import median_filter
 
 from deepseis_bringup.accept.loop_measures import CarrierTruth
 from deepseis_bringup.faults.record import LOCK, RunRecord, Said, Timeline
-from deepseis_core.types import FloatArray, Lli
+from deepseis_core.types import FloatArray, IntArray, Lli
 
 SETTLED_EPOCHS: Final = 25
 """Over so many epochs, half a second, a change of cycles is told from noise and dynamics."""
@@ -64,8 +64,11 @@ def wrong_cycles(
 ) -> list[WrongCycles]:
     """Compare the phases of every satellite with the truth between two moments [s].
 
-    An arc lasts from one mark to the next; whatever lies between, holes too, belongs to it. Its
-    constant is where most of it lies: neither its beginning nor its end is taken as right.
+    An arc lasts from one mark to the next; whatever lies between, holes too, belongs to it.
+    Epochs that say themselves that they may be half a cycle off are left out. Constants of the
+    others are whole cycles apart: a loop's phase is right where its discriminator shows nothing,
+    and that is told by the longest arc. A short one, in a loop under stress, has no place of its
+    own where most of it lies.
     """
     found = []
     for name, (t, phase, lli) in record.observed().items():
@@ -82,16 +85,38 @@ def wrong_cycles(
         known = (marks & int(Lli.HALF_CYCLE)) == 0
         changes = epochs = 0
         greatest = 0.0
-        for arc in (rows[known[rows]] for rows in arcs):
-            if not arc.size:
-                continue
-            off = constant[arc] - constant_of(constant[arc])
+        for off in deviations(constant, [rows[known[rows]] for rows in arcs]):
             greatest = max(greatest, float(np.abs(off).max()))
             epochs += int((np.abs(off) > 0.25).sum())
-            settled = median_filter(off, min(SETTLED_EPOCHS, arc.size), mode="nearest")
+            settled = median_filter(off, min(SETTLED_EPOCHS, off.size), mode="nearest")
             changes += int(np.count_nonzero(np.diff(np.round(2.0 * settled))))
         found.append(WrongCycles(name, changes, epochs, int(starts[1:].sum()), greatest))
     return found
+
+
+def deviations(constant: FloatArray, arcs: Sequence[IntArray]) -> list[FloatArray]:
+    """Return by what the epochs of each arc are off [cycles].
+
+    Parameters
+    ----------
+    constant : ndarray, shape (n,)
+        Phase less truth [cycles].
+    arcs : sequence of ndarray
+        Epochs of each; empty ones have no deviations.
+
+    Examples
+    --------
+    >>> moved = np.array([7.0, 7.0, 7.01, 9.2, 8.9])
+    >>> first, second = deviations(moved, [np.arange(3), np.arange(3, 5)])
+    >>> print(np.round(first, 2), np.round(second, 2))
+    [0.   0.   0.01] [ 0.2 -0.1]
+    """
+    filled = [arc for arc in arcs if arc.size]
+    if not filled:
+        return []
+    base = constant_of(constant[max(filled, key=len)])
+    off = [constant[arc] - base for arc in filled]
+    return [values - np.round(np.median(values)) for values in off]
 
 
 def constant_of(values: FloatArray) -> float:
