@@ -105,6 +105,12 @@ class AcquisitionEngine:
     def _there(self) -> dict[str, int]:
         return {name: tracker.valid_through for name, tracker in self.trackers.items()}
 
+    def next_through(self) -> int:
+        """Return the last sample of the next block; never, if there is none."""
+        if not self.blocks:
+            return EVER
+        return self.blocks[0].sample_index + self.blocks[0].sample_count - 1
+
     def advance(self, *, force: bool = False) -> list[AcquisitionResult] | None:
         """Work through one block.
 

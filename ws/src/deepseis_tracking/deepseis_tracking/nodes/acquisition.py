@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from deepseis_core.config import setting
+from deepseis_core.deadline import Deadline
 from deepseis_core.ros import codecs, diagnostics, qos
 from deepseis_core.ros.codecs import subscribe
 from deepseis_core.ros.flow import Flow, FlowConfig
@@ -55,7 +55,7 @@ class AcquisitionNode(Node):
         self.diagnostics = self.flow.publish_on("/diagnostics", DiagnosticArray, qos.STREAM)
         self.clock: SampleClock | None = None
         self.second, self.announced = -1, -1
-        self.progressed = time.monotonic()
+        self.deadline = Deadline(1e-3 * self.peers.tracker_deadline_ms)
         self.realtime = None if self.flow.lockstep else RealtimeReport(self, "acquisition")
         self.flow.follow(self.peers.trackers, self.on_tracker)
         self.flow.follow(["if_source"], lambda _msg: self.work())
@@ -74,6 +74,7 @@ class AcquisitionNode(Node):
             rate = block.sample_rate_hz
             self.clock = SampleClock.from_sample(block.sample_index, utc_ns, rate)
             self.engine.clock = self.clock
+        self.deadline.arrived(block.sample_index + block.sample_count - 1)
         self.engine.push_block(block)
         self.work()
 
@@ -94,9 +95,9 @@ class AcquisitionNode(Node):
 
     def on_deadline(self) -> None:
         """Realtime: do not wait longer for a tracker, which may have died."""
-        overdue = time.monotonic() - 1e-3 * self.peers.tracker_deadline_ms
+        overdue = self.deadline.look()
         self.work()
-        if self.engine.blocks and self.progressed < overdue:
+        while self.engine.next_through() <= overdue:
             self.work(force=True)
 
     def step(self, *, force: bool) -> list[AcquisitionResultValue] | None:
@@ -112,7 +113,7 @@ class AcquisitionNode(Node):
         """Work through all that the watermarks allow and publish."""
         engine, clock = self.engine, self.clock
         while (results := self.step(force=force)) is not None and clock is not None:
-            self.progressed, force = time.monotonic(), False
+            force = False
             for result in results:
                 stamp = clock.utc_ns(result.sample_index)
                 self.publisher.publish(codecs.ACQUISITION_RESULT.encode(result, stamp))
