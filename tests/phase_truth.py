@@ -112,8 +112,9 @@ class Track:
         return int(np.sum((self.column("flags") & flag) != 0))
 
     def aided_after(self, t: float) -> float:
-        """Share of integrations after ``t`` that were aided."""
-        return float(np.mean(np.isfinite(self._after("aid_doppler_hz", t))))
+        """Share of the time after ``t`` in aided integrations."""
+        aided = np.isfinite(self._after("aid_doppler_hz", t))
+        return float(np.average(aided, weights=self._after("sample_count", t)))
 
 
 def collect(epochs: Iterable[TrackingEpochs]) -> dict[str, Track]:

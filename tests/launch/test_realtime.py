@@ -165,8 +165,8 @@ def test_when_the_aiding_stands_still_the_loops_go_on_without_it_and_say_so(sky,
         # Stopped within some tenths of a second after 4 s.
         assert missed.size > 0
         assert missed.min() > 3.9
-        assert missed.max() < 5.5
+        assert missed.max() < 5.75  # it has to agree for 0.25 s first
         assert aided[(start > 2.0) & (start < 3.9)].all()
         assert not aided[start > 3.9].all()
-        assert aided[start > 5.6].all()
+        assert aided[start > 5.8].all()
         assert (flags[start > 2.0] & TrackingFlag.PHASE_LOCK).all()
