@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from deepseis_bringup.accept.displacement_streams import Stream, compare
-from deepseis_core.types import FloatArray
+from deepseis_bringup.accept import displacement_streams
+from deepseis_bringup.accept.displacement_streams import (
+    BASED,
+    FUSED,
+    Listener,
+    Stream,
+    compare,
+    shake,
+)
+from deepseis_bringup.accept.scene import Loop, aided, conventional
+from deepseis_bringup.offline import Output
+from deepseis_core.types import Displacement, DisplacementSource, FloatArray
 
 STILL, MOVING = (0.0, 5.0), (6.0, 26.0)
 
@@ -43,3 +55,50 @@ def test_a_gain_is_no_lag() -> None:
 def test_what_never_came_is_no_number() -> None:
     t = np.arange(0.0, 4.0, 0.02)
     assert np.isnan(compare(Stream(t, truth(t)), truth, STILL, MOVING).left)
+
+
+class _Scene:
+    """Remembers with which loops it was run."""
+
+    name = "made up"
+    scenario = SimpleNamespace(start=SimpleNamespace(time=SimpleNamespace(tow_ns=0)))
+
+    def __init__(self, base: bool) -> None:
+        self.base = base
+        self.ran: list[tuple[Loop, Loop | None]] = []
+
+    def run(self, loop: Loop, listen: Listener, beside: Loop | None) -> None:
+        self.ran.append((loop, beside))
+        for topic in ("seismo/displacement", "beside/seismo/displacement"):
+            listen(Output(topic, moved(0.001 * len(topic)), 0))
+
+
+def moved(east: float) -> Displacement:
+    row = np.array([[east, 0.0, 0.0]])
+    sd = np.zeros((1, 3), np.float32)
+    return Displacement(
+        source=int(DisplacementSource.FUSED), smoothed=False, valid_through=0, interval=0.005,
+        tow_ns=np.array([10**9]), week=2399, displacement=row, velocity=row, acceleration=row,
+        displacement_sd=sd, velocity_sd=sd, acceleration_sd=sd,
+    )  # fmt: skip
+
+
+def test_what_is_said_of_a_station_alone_is_not_from_its_base(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(displacement_streams, "truth_of", lambda _scene: truth)
+    scene = _Scene(base=True)
+    loops = aided(8.0), conventional(15.0)
+    run, _ = shake(scene, loops, lambda _text: None).runs  # type: ignore[arg-type]
+    (alone, beside), (unaided, nobody) = scene.ran
+    # The base is in the recording and RTK is solved; the loops' fusion does not follow it.
+    assert alone.fusion["rtk"] is False
+    assert beside is not None
+    assert beside.fusion.get("rtk", True)
+    assert unaided == loops[1]
+    assert nobody is None
+    assert run.streams[FUSED].moved[0, 0] == pytest.approx(0.019)
+    assert run.streams[BASED].moved[0, 0] == pytest.approx(0.026)
+    without = _Scene(base=False)
+    shake(without, loops[:1], lambda _text: None)  # type: ignore[arg-type]
+    assert without.ran[0][1] is None

@@ -13,11 +13,15 @@ from pathlib import Path
 from typing import Final
 
 from deepseis_bringup.accept.displacement_step import coseismic_step
-from deepseis_bringup.accept.displacement_tables import shaken_scenes
+from deepseis_bringup.accept.displacement_tables import benchmark_scenes, shaken_scenes
 from deepseis_bringup.accept.scene import Say, Work
 from deepseis_bringup.accept.tables import Acceptance
 
-GROUPS: Final[tuple[Callable[[Work], None], ...]] = (shaken_scenes, coseismic_step)
+GROUPS: Final[tuple[Callable[[Work], None], ...]] = (
+    shaken_scenes,
+    benchmark_scenes,
+    coseismic_step,
+)
 
 
 def accept_displacement(folder: Path, *, short: bool, say: Say = lambda _text: None) -> Acceptance:
@@ -35,7 +39,8 @@ def accept_displacement(folder: Path, *, short: bool, say: Say = lambda _text: N
     form = "short forms" if short else "full forms"
     acceptance = Acceptance("displacement", f"Displacement of one station, {form}")
     acceptance.remarks.append(
-        "The benchmark's Wenchuan record is not at hand: our scenes stand in for it."
+        "The benchmark's Wenchuan record is not at hand: our scenes stand in for it, MYG004 also "
+        "scaled to its 0.5 to 2 g."
     )
     for group in GROUPS:
         with tempfile.TemporaryDirectory(dir=folder, prefix=".input.") as place:
