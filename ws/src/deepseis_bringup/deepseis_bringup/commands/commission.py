@@ -40,7 +40,8 @@ def commission(
         with run_folder.half_written_is_removed(folder):
             result = work.commission(bag_of(run), folder, longest_s=longest)
         for check in result["checks"]:
-            typer.echo(f"{check['status']}\t{check['name']}\t{check['found']}")
+            parts = (check[key] for key in ("status", "name", "found", "text"))
+            typer.echo("\t".join(parts).rstrip())
         typer.echo(result["verdict"])
         typer.echo(str(folder / "commission.html"))
         bad = result["failed"] + (result["open"] if strict else 0)

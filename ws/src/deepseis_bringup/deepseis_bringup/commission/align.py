@@ -224,7 +224,7 @@ def figures_of(found: Mounting) -> dict[str, Any]:
 def as_yaml(figures: dict[str, Any], offset_so_far: float = 0.0) -> str:
     """Return the lines for the IMU's description."""
     total = offset_so_far + figures["time_offset_s"]
-    lines = [f"time: {{offset: {total:.6f}}}  # added to what stands there; s"]
+    lines = [f"time: {{offset: {total:.6f}}}  # s; in place of what stands there"]
     if figures["lever_arm_shows"]:
         arm = [figures[f"lever_arm_{axis}_m"] for axis in ("forward", "left", "up")]
         lines.append("installation:")
