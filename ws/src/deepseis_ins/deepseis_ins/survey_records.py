@@ -126,13 +126,25 @@ class Track:
     nav: NavState
 
 
-def survey_grade(grade: ImuGrade, config: SurveyConfig) -> ImuGrade:
+def survey_grade(grade: ImuGrade, config: SurveyConfig, *, lasting: bool = False) -> ImuGrade:
     """Return the grade with what gravity adds to its accelerometers.
 
     The mechanisation knows normal gravity; what the real one has in excess, in all three
-    components, is an accelerometer's error to the filter.
+    components, is an accelerometer's error to the filter, of sd ``s`` and correlation time ``T``.
+
+    Parameters
+    ----------
+    lasting : bool
+        Whether the turn-on bias is to be remembered for longer than T. One Gauss-Markov state for
+        both is right over seconds, and forgets the bias as fast as gravity changes: over hours
+        axes that lean with the body, as constant as the bias, are height without limit. What
+        gravity makes of the velocity is, for longer than T, what white noise of ``s sqrt(2 T)``
+        makes; the state is then the bias alone.
     """
     sd = config.gravity_sd_mgal * MGAL
+    if lasting:
+        walk = float(np.hypot(grade.accelerometers.walk, sd * np.sqrt(2.0 * config.gravity_time)))
+        return replace(grade, accel_walk_per_sqrt_h=60.0 * walk)
     if sd <= grade.accel_instability:
         return grade
     return replace(grade, accel_instability=sd, accel_correlation_time=config.gravity_time)

@@ -132,12 +132,15 @@ class Drive:
         )
         self.survey = Survey(self.imu, data.ldv, data.gnss.fixes, config.survey, config.ldv)
 
-    def filter(self) -> LooseFilter:
-        """Make the filter as it is at the start: position by GNSS, attitude by the rest."""
+    def filter(self, *, lasting: bool = False) -> LooseFilter:
+        """Make the filter as it is at the start: position by GNSS, attitude by the rest.
+
+        ``lasting``: as in `survey_grade`, for a drive of hours without GNSS.
+        """
         covariance = self.aligned.covariance
         return LooseFilter(
             LooseConfig(covariance_step=COVARIANCE_STEP),
-            survey_grade(self.data.grade, self.config.survey),
+            survey_grade(self.data.grade, self.config.survey, lasting=lasting),
             self.start,
             attitude_sd=0.5 * (covariance + covariance.T),
             position_sd=[self._start_sd] * 3,
@@ -154,7 +157,7 @@ class Drive:
     def by_ldv(self, installation: LdvInstallation) -> Solution:
         """Work it through without GNSS from the first movement on."""
         aids = Aids(fixes=((-np.inf, self.rest),))
-        track = self.survey.run(self.filter(), installation, aids)
+        track = self.survey.run(self.filter(lasting=True), installation, aids)
         return self._solution(LDV, track, track.time, track.free_up, track.aid_up)
 
     def by_gnss(self) -> list[Solution]:
