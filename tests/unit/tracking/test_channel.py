@@ -154,6 +154,24 @@ def test_a_loop_that_slips_is_marked_before_it_is_half_a_cycle_off():
     assert max(np.ptp(error[arc]) for arc in arcs if arc.size) < 0.5
 
 
+def test_after_a_slip_the_polarity_is_not_called_known():
+    signal = Signal(motion=lambda t: 4 * circle(t))
+    channel, window = Channel("G07", RATE, TrackingConfig(relock_s=0.0)), BasebandWindow(100_000)
+    channel.hand_over(signal.result(), 0)
+    epochs = []
+    for index in range(200):
+        if index == 100:
+            channel.state["polarity"] = 1  # as a subframe does
+        window.push(*signal.block(index), index * BLOCK)
+        epochs.append(channel.advance(window, index * BLOCK, -1)[0])
+    flags = column(epochs, "flags")[column(epochs, "sample_index") > 2.1 * RATE]
+    slip = int(np.argmax((flags & TrackingFlag.SLIP) != 0))
+    known = (flags & TrackingFlag.POLARITY_KNOWN) != 0
+    assert slip > 20
+    assert known[:slip].all()
+    assert not known[slip:].any()
+
+
 def test_a_signal_that_is_10_db_weaker_at_once_keeps_its_lock():
     signal = Signal(cn0_dbhz=45.0)
     strong = signal.amplitude

@@ -20,6 +20,8 @@ QUAKE: Final = "quake"
 CIRCLE: Final = "sine-2hz"
 AT: Final = {QUAKE: 34.5, CIRCLE: 26.0}
 """Beginning of the faults [s]: before the quake's peak of 3 g at 35 s; in the circle's 2 g."""
+CIRCLING: Final = 19.0, 48.0
+"""From before the circle turns on, and for how long [s]."""
 GRADE: Final = "span-fsas"
 """Of both scenes' IMU."""
 CLIP_G: Final = 1.5
@@ -82,10 +84,15 @@ def _of(scene: str) -> list[Case]:
     dark = 30.0 if long else 3.0
     clip = Fault("imu-clip", at, 4.0, CLIP_G * STANDARD_GRAVITY)
     ranged = {"fusion": {"imu_grade": f"{GRADE} accel_range_g={CLIP_G:g}"}}
+    known = _with(f"IMU clips at {CLIP_G:g} g, 4 s", scene, clip, parameters=ranged)
+    if long:  # a sensor of that range clips as long as the circle turns
+        longer = Fault("imu-clip", *CIRCLING, clip.amount)
+        name = f"IMU clips at {CLIP_G:g} g throughout"
+        known = _with(name, scene, longer, parameters=ranged, outage=False)
     found = [
         Case("no fault", scene, at, at + 1.0, outage=False),
         _with("IMU gap of 1 s", scene, Fault("imu-gap", at, 1.0)),
-        _with(f"IMU clips at {CLIP_G:g} g, 4 s", scene, clip, parameters=ranged),
+        known,
         _with(f"IMU clips at {CLIP_G:g} g, 4 s, range not known", scene, clip, outage=False),
         _with(f"no signal for {dark:g} s", scene, Fault("no-signal", at, dark)),
         Case("aiding away for 3 s", scene, at, at + 3.0, aiding_away=True),
