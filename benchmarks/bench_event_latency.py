@@ -3,10 +3,10 @@
     ./deepseis sim quake --short -o /tmp/quake
     ./deepseis python benchmarks/bench_event_latency.py /tmp/quake
 
-An onlooker in the same ROS domain notes when IMU samples arrive, and when motion and events that
-hold for them do. A peak may come just after a report, so the next one, `report_s` (0.2 s) later,
-is the first that has it: that adds to the worst. On a machine that does other things figures are
-larger.
+An onlooker in the same ROS domain notes when IMU samples arrive, which sets the pace of the clock,
+and when motion and events that hold for them do. A peak may come just after a report, so the next
+one, `report_s` (0.2 s) later, is the first that has it: that adds to the worst. On a machine that
+does other things figures are larger.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from bisect import bisect_left
 from collections import defaultdict
 from pathlib import Path
 from struct import unpack_from
@@ -68,14 +67,12 @@ class Onlooker:
         self.found[topic].append((last, now))
 
     def delays(self, topic: str) -> np.ndarray:
-        """Return how much later than their last IMU sample messages came [s]."""
-        stamps = sorted(self.imu)
-        late = []
-        for utc_ns, at in self.found[topic]:
-            k = bisect_left(stamps, utc_ns - 2_600_000)
-            if k < len(stamps) and abs(stamps[k] - utc_ns) < 2_600_000:
-                late.append(at - self.imu[stamps[k]])
-        return np.array(late)
+        """Return how much later messages came than their last sample was due [s].
+
+        Samples are due at the pace of the clock; the one of the IMU that came soonest sets it.
+        """
+        pace = min(at - 1e-9 * utc_ns for utc_ns, at in self.imu.items())
+        return np.array([at - 1e-9 * utc_ns - pace for utc_ns, at in self.found[topic]])
 
 
 def main() -> None:
