@@ -177,8 +177,14 @@ def test_all_lost_at_once_waits_for_rest():
     solver.solve(phases.epoch(slipped=tuple(range(10))), False)
     assert phases.run(solver, 1.0, False) == [None] * 10
     phases.motion = lambda t: np.zeros(3)
-    back = phases.run(solver, 20.0, True)
-    assert back[-1] is None or not back[-1].calibrated
+    reference = solver.reference.config
+    assert phases.run(solver, 0.9 * reference.settle_s, True)[-1] is None
+    back = phases.run(solver, 10.0, True)[-1]
+    # Where it has come to rest nobody knows: the surveyed place again, and it is said how surely.
+    assert back.calibrated
+    sd = np.sqrt(np.diag(back.covariance)[:3])
+    assert (sd >= reference.lost_sd).all()
+    assert (np.abs(back.displacement) < 3.0 * sd).all()
 
 
 def test_unexpected_noise_is_seen_in_the_residuals_and_owned_up_to():
@@ -314,3 +320,23 @@ def test_a_motion_noticed_in_time_casts_no_doubt():
     phases.run(solver, 20.0, True)
     solver.solve(phases.epoch(), False, hidden=1e-4)
     assert solver.counts["doubted"] == 0
+
+
+def test_an_antenna_that_comes_to_rest_without_phases_has_its_reference_again_less_certain():
+    """All loops were lost while it moved: no displacement tells where it is."""
+    reference, nothing = StillReference(ReferenceConfig(), witnessed=True), np.zeros((3, 3))
+    config = reference.config
+
+    def told(times, still):
+        return [reference.decide(t, still, None, nothing, nothing) for t in times]
+
+    assert all(told(np.arange(0.0, 5.0, 0.02), True))
+    assert not any(told(np.arange(5.0, 8.0, 0.02), False))
+    # A rest that ends too soon counts for nothing.
+    assert not any(told(np.arange(8.0, 8.0 + 0.9 * config.settle_s, 0.02), True))
+    assert not any(told(np.arange(20.0, 21.0, 0.02), False))
+    again = told(np.arange(21.0, 21.0 + config.settle_s + 1.0, 0.02), True)
+    assert again.index(True) * 0.02 == pytest.approx(config.settle_s, abs=0.05)
+    assert all(again[again.index(True) :])
+    np.testing.assert_allclose(reference.covariance, config.lost_sd**2 * np.eye(3))
+    assert reference.counts["lost_references"] == 1

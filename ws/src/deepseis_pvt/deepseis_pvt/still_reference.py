@@ -29,6 +29,12 @@ class ReferenceConfig:
     settle_s: float = setting(
         10.0, "stillness after motion before calibration goes on there [s]", low=0.5, high=600.0
     )
+    lost_sd: float = setting(
+        0.05,
+        "of a place at rest after motion in which all phases were lost [m]",
+        low=0.0,
+        high=10.0,
+    )
 
 
 class StillReference:
@@ -38,7 +44,8 @@ class StillReference:
     the reference contradict it. After motion the antenna is taken to be still again once it has
     been called so for ``settle_s`` and its displacements scatter no more than noise; where
     they then lie is the new reference, with its covariance, unless it cannot be told from the
-    old one.
+    old one. If all phases were lost meanwhile there are no displacements: after that time of
+    stillness the old reference holds again, less certain by ``lost_sd``.
 
     Parameters
     ----------
@@ -62,9 +69,12 @@ class StillReference:
         self.position: FloatArray = np.zeros(3)
         self.covariance: FloatArray = np.zeros((3, 3))
         self.moved, self.started = False, False
-        self.counts = {"motions": 0, "contradicted": 0, "new_references": 0}
+        self.counts = {
+            "motions": 0, "contradicted": 0, "new_references": 0, "lost_references": 0,
+        }  # fmt: skip
         self._held = -np.inf
         self._since: float | None = None
+        self._blind: float | None = None  # at rest without displacements since then
         self._rest: list[FloatArray] = []
 
     def decide(
@@ -107,7 +117,7 @@ class StillReference:
     def _leave(self) -> None:
         if not self.moved:
             self.counts["motions"] += 1
-        self.moved, self._since = True, None
+        self.moved, self._since, self._blind = True, None, None
         self._rest.clear()
 
     def _settle(
@@ -119,7 +129,9 @@ class StillReference:
     ) -> None:
         """Gather displacements at rest; adopt their mean once they have been long enough."""
         if displacement is None:
+            self._wait_blindly(time)
             return
+        self._blind = None
         if self._since is None:
             self._since = time
         self._rest.append(displacement)
@@ -133,6 +145,17 @@ class StillReference:
             self._since += self.config.settle_s / 2.0
             return
         self._adopt(rest.mean(axis=0), common)
+
+    def _wait_blindly(self, time: float) -> None:
+        """Take the old reference again once the antenna has been still for long enough."""
+        if self._blind is None:
+            self._blind = time
+        if time - self._blind < self.config.settle_s:
+            return
+        self.covariance = self.covariance + self.config.lost_sd**2 * np.eye(3)
+        self.counts["lost_references"] += 1
+        self.moved, self._since, self._blind = False, None, None
+        self._rest.clear()
 
     def _adopt(self, mean: FloatArray, common: FloatArray) -> None:
         away, spread = mean - self.position, common + 1e-10 * np.eye(3)

@@ -271,7 +271,7 @@ class McapFile:
             job.pack(self._compress)
             entry = job.put(self._out, self._compression)
             self._out.commit()
-            self._summary.chunks.append(entry)
+            self._summary.add_chunk(entry)
             return
         if job.entry is not None:
             job.entry.offset = self._out.position

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import time
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from mcap import records
@@ -88,8 +88,8 @@ class Chunk:
         if self.packed is None:
             self.packed = self.data if compress is None else compress(self.data)
 
-    def put(self, out: WholeWrites, compression: str) -> records.ChunkIndex:
-        """Put the packed chunk and its messages' index to a file; return what is said of it."""
+    def put(self, out: WholeWrites, compression: str) -> bytes:
+        """Put the packed chunk and its messages' index to a file; return its record there."""
         assert self.packed is not None
         name = compression.encode()
         head = struct.pack(
@@ -109,7 +109,7 @@ class Chunk:
         for number, entries in self.index.items():
             offsets[number] = out.position
             out.put(record_bytes(records.MessageIndex(number, entries)))
-        return records.ChunkIndex(
+        index = records.ChunkIndex(
             chunk_length=index_start - start,
             chunk_start_offset=start,
             compression=compression,
@@ -120,6 +120,7 @@ class Chunk:
             message_start_time=self.start_ns,
             uncompressed_size=len(self.data),
         )
+        return record_bytes(index)
 
 
 @dataclass
@@ -134,15 +135,20 @@ class Summary:
         Messages by number of the topic.
     start_ns, end_ns : int
         First and last log time of a message [ns].
-    chunks, entries : list
-        Of the chunks, and of the records outside chunks.
+    chunks : bytearray
+        Records of the chunks, as they stand in the file: a recorder that writes five a second for
+        days keeps them all until its file is closed, and objects would take seven times as much.
+    chunk_count : int
+    entries : list
+        Of the records outside chunks.
     """
 
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: dict[int, int] = field(default_factory=dict)
     start_ns: int = 2**63 - 1
     end_ns: int = 0
-    chunks: list[records.ChunkIndex] = field(default_factory=list)
+    chunks: bytearray = field(default_factory=bytearray)
+    chunk_count: int = 0
     entries: list[records.MetadataIndex | records.AttachmentIndex] = field(default_factory=list)
     _schemas: dict[tuple[str, bytes], records.Schema] = field(default_factory=dict)
 
@@ -161,6 +167,11 @@ class Summary:
         self.counts[channel.id] = 0
         return built + record_bytes(self._channel(channel))
 
+    def add_chunk(self, record: bytes) -> None:
+        """Take what `Chunk.put` returned."""
+        self.chunks += record
+        self.chunk_count += 1
+
     def count(self, channel: int, log_time_ns: int) -> int:
         """Count a message; return how many its channel had before."""
         before = self.counts[channel]
@@ -174,8 +185,7 @@ class Summary:
         out.put(record_bytes(records.DataEnd(0)))
         start = out.position
         summary, offsets = b"", b""
-        for opcode, members in self._groups():
-            built = b"".join(record_bytes(member) for member in members)
+        for opcode, built in self._groups():
             if built:
                 where = start + len(summary)
                 offsets += record_bytes(records.SummaryOffset(opcode, where, len(built)))
@@ -189,17 +199,21 @@ class Summary:
         about = channel.topic, channel.encoding, channel.metadata
         return records.Channel(channel.id, *about, schema.id)
 
-    def _groups(self) -> list[tuple[int, list[records.McapRecord]]]:
+    def _groups(self) -> list[tuple[int, bytes]]:
         """Return the records of the summary by kind."""
+
+        def together(members: Iterable[records.McapRecord]) -> bytes:
+            return b"".join(record_bytes(member) for member in members)
+
         metadata = [e for e in self.entries if isinstance(e, records.MetadataIndex)]
         attachments = [e for e in self.entries if isinstance(e, records.AttachmentIndex)]
         return [
-            (Opcode.SCHEMA, list(self._schemas.values())),
-            (Opcode.CHANNEL, [self._channel(channel) for channel in self.channels.values()]),
-            (Opcode.STATISTICS, [self._statistics(len(metadata), len(attachments))]),
-            (Opcode.CHUNK_INDEX, list(self.chunks)),
-            (Opcode.ATTACHMENT_INDEX, list(attachments)),
-            (Opcode.METADATA_INDEX, list(metadata)),
+            (Opcode.SCHEMA, together(self._schemas.values())),
+            (Opcode.CHANNEL, together(map(self._channel, self.channels.values()))),
+            (Opcode.STATISTICS, together([self._statistics(len(metadata), len(attachments))])),
+            (Opcode.CHUNK_INDEX, bytes(self.chunks)),
+            (Opcode.ATTACHMENT_INDEX, together(attachments)),
+            (Opcode.METADATA_INDEX, together(metadata)),
         ]
 
     def _statistics(self, metadata: int, attachments: int) -> records.Statistics:
@@ -208,7 +222,7 @@ class Summary:
             attachment_count=attachments,
             channel_count=len(self.channels),
             channel_message_counts={k: n for k, n in self.counts.items() if n},
-            chunk_count=len(self.chunks),
+            chunk_count=self.chunk_count,
             message_count=messages,
             message_end_time=self.end_ns,
             message_start_time=self.start_ns if messages else 0,

@@ -32,6 +32,7 @@ from deepseis_core.types import (
     DisplacementSource,
     Ephemeris,
     ImuSample,
+    Lli,
     Observations,
     PreciseStatus,
     Pvt,
@@ -177,7 +178,7 @@ class Day:
             "aiding": Holes(SPAN_S), "position": Holes(1.0 / rate_hz),
             "phase displacement": Holes(1.0 / rate_hz), "fused displacement": Holes(SPAN_S),
         }  # fmt: skip
-        self.events, self.epochs, self._hour = 0, 0, -1
+        self.events, self.epochs, self._hour, self._is_dark = 0, 0, -1, False
 
     def _inertial(self) -> InertialChain:
         station, imu = self.bench.station(), self.bench.scenario.imu
@@ -268,7 +269,9 @@ class Day:
         now = epoch.sample_index / self.sample_rate_hz
         self.epochs += 1
         if _within(self._dark, now):
-            epoch = without_satellites(epoch)
+            epoch, self._is_dark = without_satellites(epoch), True
+        elif self._is_dark:  # loops that lost their signal say so
+            epoch, self._is_dark = replace(epoch, lli=epoch.lli | np.uint8(Lli.SLIP)), False
         pvt = self._position(epoch)
         if pvt.status != PvtStatus.NONE:
             self.holes["position"].add(now)
