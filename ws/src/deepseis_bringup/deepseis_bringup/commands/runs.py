@@ -84,7 +84,7 @@ def replay(
         str,
         typer.Option(
             help="Base station for RTK: RINEX, RTCM 3 or a bag; ntrip://user@host:port/MOUNT,"
-            " ntrips://..., tcp://host:port."
+            " ntrips://..., tcp://host:port, station://NAME."
         ),
     ] = "",
     settings: Settings = None,
@@ -158,7 +158,7 @@ def process(
         str,
         typer.Option(
             help="Base station for RTK: RINEX, RTCM 3 or a bag; ntrip://user@host:port/MOUNT,"
-            " ntrips://..., tcp://host:port."
+            " ntrips://..., tcp://host:port, station://NAME."
         ),
     ] = "",
     for_align: Annotated[
