@@ -15,7 +15,7 @@ from deepseis_bringup.accept.jammed_loops import first_beyond
 from deepseis_bringup.accept.jamming import code_overlap_db
 from deepseis_bringup.accept.outside_recording import Carried, CarriedImu
 from deepseis_bringup.accept.scene import Work
-from deepseis_bringup.accept.tables import Acceptance, Goal
+from deepseis_bringup.accept.tables import Acceptance, Goal, Row
 from deepseis_bringup.accept.tracking import GROUPS
 from deepseis_core.ca_code import ca_code
 from deepseis_core.geodesy import ecef_from_geodetic
@@ -40,6 +40,12 @@ def test_a_goal_near_a_value_has_the_values_unit():
     assert goal.met(37.7)
     assert not goal.met(37.68)
     assert not goal.met(float("nan"))
+
+
+def test_what_did_not_come_out_misses_its_goal_and_says_so():
+    row = Row("table", "scene", "lag", "ms", float("nan"), 56.5, Goal.at_most(56.5))
+    assert row.met is False
+    assert row.cells()[4:] == ["56.5", "nothing came out", "<= 56.5", "", "no"]
 
 
 def test_every_group_is_a_function_of_its_own_module():

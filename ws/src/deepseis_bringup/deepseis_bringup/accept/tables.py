@@ -21,6 +21,7 @@ COLUMNS: Final = (
     *("table", "scenario", "quantity", "unit", "published", "ours", "goal", "limit", "met"),
 )
 NUMBERS: Final = ("unit", "ours", "goal", "limit", "met")
+NOTHING: Final = "nothing came out"
 WHOLE: Final = ' style="white-space:nowrap"'
 """Of cells whose text must not be broken."""
 RELATIONS: Final[dict[str, Callable[[float, float], bool]]] = {
@@ -200,4 +201,6 @@ def _text(value: float | str | None) -> str:
         return ""
     if isinstance(value, str):
         return value
+    if value != value:
+        return NOTHING
     return f"{value:.4g}"
