@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from deepseis_tracking.nco import PERIOD_S, TRACK, TRACK_AIDED, aid_at, switch_off
+from deepseis_tracking.nco import PERIOD_S, TRACK, TRACK_AIDED, aid_at, may_be_aided, switch_off
 
 AGREED_S = 0.25
 """Aiding has to agree with the loop's own phase so long before it is used again [s]: aiding that
@@ -33,13 +33,6 @@ def integration_periods(state: Any, config: Any) -> int:
     if state.mode < TRACK:
         return 1
     return config.fallback_periods if state.fallback == 1 else config.periods
-
-
-@njit(cache=True, nogil=True)
-def may_be_aided(state: Any) -> bool:
-    """Whether aiding that is there may be used: after it has misled, only a settled loop's."""
-    settled = state.phase_lock == 1 and state.mode_epochs > 10 and state.aid_wait_s <= 0.0
-    return settled or state.aid_held == 0
 
 
 @njit(cache=True, nogil=True)

@@ -118,6 +118,13 @@ def _reset(state: Any, config: Any, aid: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
+def may_be_aided(state: Any) -> bool:
+    """Whether aiding that is there may be used: after it has misled, only a settled loop's."""
+    settled = state.phase_lock == 1 and state.mode_epochs > 10 and state.aid_wait_s <= 0.0
+    return settled or state.aid_held == 0
+
+
+@njit(cache=True, nogil=True)
 def choose_aiding(
     state: Any, config: Any, row: Any, aid: Any, knots: np.ndarray, rates: np.ndarray
 ) -> bool:
@@ -129,8 +136,7 @@ def choose_aiding(
         state.pull_in_aided = 1 if covered and in_time and state.aid_held == 0 else 0
         return state.pull_in_aided == 1
     if state.mode == TRACK and covered and state.fallback == 0:
-        settled = state.phase_lock == 1 and state.mode_epochs > 10 and state.aid_wait_s <= 0.0
-        if settled or state.aid_held == 0:
+        if may_be_aided(state):
             switch_on(state, config, aid, aid_at(start, aid, knots, rates, config.sample_rate))
     elif state.mode == TRACK_AIDED and aid.valid == 0:
         row.flags |= AID_MISSED
