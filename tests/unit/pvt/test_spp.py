@@ -14,7 +14,16 @@ AIRLESS = SppConfig(ionosphere=False, troposphere=False)
 
 
 def solve(
-    sky, config=AIRLESS, *, t=2.0, bias=0.0, noise=0.0, rate_noise=0.0, klobuchar=None, keep=None
+    sky,
+    config=AIRLESS,
+    *,
+    t=2.0,
+    bias=0.0,
+    noise=0.0,
+    rate_noise=0.0,
+    klobuchar=None,
+    keep=None,
+    extra_rate_sd=None,
 ):
     """Return the solution of one simulated epoch."""
     pseudorange, doppler, ephemerides = first_epoch(sky, t, bias)
@@ -30,6 +39,7 @@ def solve(
         np.full(len(pseudorange), 45.0)[chosen],
         tow=TOW + t,
         klobuchar=klobuchar,
+        extra_rate_sd=extra_rate_sd,
     )
 
 
@@ -81,6 +91,20 @@ def test_velocity_scatters_as_the_covariance_says():
     found = [solve(Sky(), rate_noise=rng.normal(0, sd)).velocity_ecef for _ in range(200)]
     ratio = np.sum(np.var(found, axis=0)) / np.trace(base.velocity_covariance[:3, :3])
     assert abs(ratio - 1.0) < 0.4
+
+
+def test_velocity_of_wide_loops_scatters_as_the_covariance_says():
+    """Their Doppler is worse by tens of the usual sigma: no reason to leave satellites out."""
+    rng = np.random.default_rng(3)
+    sd = np.full(len(solve(Sky()).elevation), 2.46)
+    found = [
+        solve(Sky(), rate_noise=rng.normal(0, sd), extra_rate_sd=sd * C / L1_HZ)
+        for _ in range(200)
+    ]
+    velocity = [item.velocity_ecef for item in found]
+    ratio = np.sum(np.var(velocity, axis=0)) / np.trace(found[0].velocity_covariance[:3, :3])
+    assert 0.8 < ratio < 1.25
+    assert np.isfinite([item.range_rate_residual for item in found]).all()
 
 
 def test_one_outlier_is_excluded():

@@ -63,7 +63,7 @@ class Signal:
 
 
 def track(signal, seconds, config=None, aiding=None, blocks_at_once=1, result=None):
-    """Track through a window; returns the channel and all its epochs."""
+    """Track through a window; returns channel and epochs. ``aiding(block)``: None is a hole."""
     channel = Channel("G07", RATE, config or TrackingConfig())
     channel.hand_over(result or signal.result(), 0)
     window = BasebandWindow(BLOCK + 60_000)
@@ -73,8 +73,10 @@ def track(signal, seconds, config=None, aiding=None, blocks_at_once=1, result=No
         i, q = (np.concatenate([p[c] for p in parts]) for c in range(2))
         window.push(i, q, index * BLOCK)
         for k in range(index, index + blocks_at_once):
-            if aiding is not None:
-                channel.aid(aiding(k))
+            if aiding is not None and (message := aiding(k)) is not None:
+                channel.aid(message)
+            elif aiding is not None:
+                channel.aid_missing((k + 1) * BLOCK - 1)
         found, _ = channel.advance(window, index * BLOCK, -1)
         epochs.append(found)
     return channel, epochs

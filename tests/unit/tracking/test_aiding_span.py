@@ -12,7 +12,7 @@ from deepseis_tracking.nco import aid_at, aid_growth, switch_off, switch_on
 
 RATE = 4e6
 STEP = 4000
-LIMITS = AidLimits(5.0, 5.0)
+LIMITS = AidLimits(5.0, 0.25)
 
 
 def doppler(t):
@@ -39,7 +39,7 @@ def message(block, **changes):
 def span():
     made = AidingSpan(RATE)
     for block in range(100):
-        made.take(message(block), "G07", LIMITS, in_use=True)
+        made.take(message(block), "G07", LIMITS)
     return made
 
 
@@ -85,26 +85,52 @@ def test_growth_over_time_that_was_not_covered_is_not_made_up(span):
 
 
 def test_knots_after_a_hole_begin_anew(span):
-    span.take(message(100, valid=False), "G07", LIMITS, in_use=True)
+    span.take(message(100, valid=False), "G07", LIMITS)
     assert not span.valid
-    span.take(message(103), "G07", LIMITS, in_use=True)
+    span.take(message(103), "G07", LIMITS)
     assert span.valid
     assert int(span.record["first"][0]) == 103 * 80_000
 
 
-def test_a_step_ends_aiding_until_the_loop_runs_without(span):
-    def stepped(block):
-        return message(block, carrier_doppler_hz=message(block).carrier_doppler_hz + 6.0)
+def plus(hertz, block):
+    return message(block, carrier_doppler_hz=message(block).carrier_doppler_hz + hertz)
 
-    kept = span.knots.copy()
-    assert span.take(stepped(100), "G07", LIMITS, in_use=True) == "stepped"
-    assert span.take(stepped(101), "G07", LIMITS, in_use=True) == ""
-    assert not span.valid
-    np.testing.assert_array_equal(span.knots, kept)
-    assert span.take(stepped(102), "G07", LIMITS, in_use=False) == ""
+
+def test_steps_are_kept_out_one_after_the_other(span):
+    told = [span.take(plus(6.0, 100), "G07", LIMITS), span.take(plus(6.1, 101), "G07", LIMITS)]
+    assert told == ["stepped", ""]
+    assert span.take(plus(-2.0, 102), "G07", LIMITS) == "stepped"
     assert span.valid
-    assert span.take(stepped(103), "G07", LIMITS, in_use=True) == ""
-    assert span.valid
+    first = int(span.record["first"][0])
+    t = (first + STEP * np.arange(len(span.knots))) / RATE
+    late = np.where(t >= 101 * 0.02, 0.1, 0.0)  # what was not kept out
+    np.testing.assert_allclose(span.knots, doppler(t) + late, atol=1e-9)
+
+
+def test_aiding_that_begins_anew_is_what_it_says(span):
+    span.take(plus(6.0, 100), "G07", LIMITS)
+    assert span.take(message(101, valid=False), "G07", LIMITS) == "invalid"
+    assert span.take(plus(6.0, 102), "G07", LIMITS) == ""
+    np.testing.assert_array_equal(span.knots, plus(6.0, 102).carrier_doppler_hz[0])
+
+
+def test_beyond_a_hole_a_swing_is_no_step_and_a_step_is(span):
+    for block, hertz in ((101, 0.0), (104, 2.0), (106, 9.0)):
+        told = span.take(plus(hertz, block), "G07", LIMITS)
+        assert told == ("stepped" if hertz == 9.0 else "")
+    assert abs(span.offset_hz + 7.0) < 2.0
+
+
+def test_what_comes_from_a_message_is_of_one_type_for_the_kernels():
+    """Read-only arrays are another: trackers compiled for 2 s when their first aiding came."""
+    table = doppler(np.arange(21) * STEP / RATE)[None]
+    table.flags.writeable = False
+    made = AidingSpan(RATE)
+    for block in range(2):
+        told = message(block, carrier_doppler_hz=table, carrier_doppler_rate=table)
+        made.take(told, "G07", LIMITS)
+        assert made.knots.flags.writeable
+        assert made.rates.flags.writeable
 
 
 @pytest.mark.parametrize("form", [0, 1])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from deepseis_core.constants import L1_WAVELENGTH, NS_PER_S
 from deepseis_core.ephemeris import states_from_pseudoranges
 from deepseis_core.hatch import HatchConfig, HatchFilter
+from deepseis_core.loop_noise import lone_rate_sd
 from deepseis_core.selection import select
 from deepseis_core.types import FloatArray, Observations
 from deepseis_ins.range_config import RangeConfig
@@ -85,7 +86,8 @@ class RangeBuilder:
             return None
         names = tuple(observations.satellites[k] for k in seen)
         packed = chosen.packed[[at[name] for name in names]]
-        amplitude = noise[seen] / self.config.range_sd
+        amplitude = np.maximum(noise / self.config.range_sd, 1e-3)
+        rate_sd = np.hypot(self.config.range_rate_sd * amplitude, lone_rate_sd(observations))
         return RangeEpoch(
             observations.sample_index,
             names,
@@ -96,7 +98,7 @@ class RangeBuilder:
                 ranges[seen],
                 -L1_WAVELENGTH * observations.carrier_doppler_hz[seen],
                 np.sqrt(variance[seen]),
-                self.config.range_rate_sd * np.maximum(amplitude, 1e-3),
+                rate_sd[seen],
                 observations.tow_ns / NS_PER_S,
                 self.klobuchar,
             ),

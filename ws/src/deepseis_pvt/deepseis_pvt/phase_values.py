@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from deepseis_core.config import setting
 from deepseis_core.constants import L1_WAVELENGTH
+from deepseis_core.loop_noise import FALLBACK_BANDWIDTH_HZ
 from deepseis_core.types import FloatArray, IntArray
 from deepseis_pvt.rest_memory import DoubtConfig
 
@@ -31,7 +32,9 @@ class PhaseConfig(DoubtConfig):
         8.0, "noise bandwidth of the carrier loops: noise by C/N0, white below it [Hz]", low=0.1
     )
     fallback_bandwidth_hz: float = setting(
-        50.0, "the same where a loop runs without the aiding that it ought to have [Hz]", low=0.1
+        FALLBACK_BANDWIDTH_HZ,
+        "the same where a loop runs without the aiding that it ought to have [Hz]",
+        low=0.1,
     )
     phase_floor_sd: float = setting(
         0.0003, "phase noise besides the thermal one, at the zenith [m]", low=0.0, high=0.05

@@ -17,6 +17,7 @@ from deepseis_core.config import setting
 from deepseis_core.constants import NS_PER_S, SPEED_OF_LIGHT
 from deepseis_core.ephemeris import states_from_pseudoranges
 from deepseis_core.gps_time import GpsTime
+from deepseis_core.loop_noise import lone_rate_sd
 from deepseis_core.miss_log import EVER, MissScript
 from deepseis_core.types import (
     Ephemeris,
@@ -309,6 +310,7 @@ class PvtEngine:
                 accuracy=np.array([item[0].accuracy for item in items if item is not None]),
                 klobuchar=self.book.klobuchar(o.sample_index),
                 start=self._state,
+                extra_rate_sd=lone_rate_sd(o)[chosen],
             )
         if solution is None:
             self._counts["no_position"] += 1

@@ -118,6 +118,7 @@ class SppSolver:
         accuracy: FloatArray | None = None,
         klobuchar: FloatArray | None = None,
         start: FloatArray | None = None,
+        extra_rate_sd: FloatArray | None = None,
     ) -> SppSolution | None:
         """Return the solution, or None if there is none.
 
@@ -135,6 +136,8 @@ class SppSolver:
             alpha 0..3, beta 0..3; without them no ionospheric delay is removed.
         start : ndarray, shape (4,), optional
             Approximate position and clock bias [m]; default the Earth's centre.
+        extra_rate_sd : ndarray, shape (n,), optional
+            Noise of range rates besides the usual [m/s]; default none.
         """
         n = len(pseudorange)
         noise = self._code_noise(np.asarray(cn0_dbhz, np.float64))
@@ -150,7 +153,8 @@ class SppSolver:
         if not epoch.solve(excluded):
             return None
         consistent, excluded = self._exclude_outliers(epoch, excluded)
-        return self._finish(epoch, excluded, consistent, carrier_doppler_hz)
+        extra = np.zeros(n) if extra_rate_sd is None else extra_rate_sd
+        return self._finish(epoch, excluded, consistent, carrier_doppler_hz, extra)
 
     def _code_noise(self, cn0_dbhz: FloatArray) -> FloatArray:
         noise = np.full(len(cn0_dbhz), self.config.code_sd)
@@ -188,7 +192,12 @@ class SppSolver:
         return freedom == 0 or epoch.chi_square() <= self._limits[freedom - 1]
 
     def _finish(
-        self, epoch: _Epoch, excluded: NDArray[np.bool_], consistent: bool, doppler: FloatArray
+        self,
+        epoch: _Epoch,
+        excluded: NDArray[np.bool_],
+        consistent: bool,
+        doppler: FloatArray,
+        extra_rate_sd: FloatArray,
     ) -> SppSolution | None:
         geometry, state = epoch.geometry, epoch.state
         dops = np.full(4, np.nan)
@@ -196,7 +205,9 @@ class SppSolver:
             return None
         if not consistent:
             epoch.covariance *= epoch.chi_square() / (epoch.used - 4)
-        velocity, velocity_covariance, rate_residual = self._velocity(epoch, doppler)
+        velocity, velocity_covariance, rate_residual = self._velocity(
+            epoch, doppler, extra_rate_sd
+        )
         return SppSolution(
             position_ecef=state[:3].copy(),
             clock_bias=float(state[3]),
@@ -215,7 +226,7 @@ class SppSolver:
         )
 
     def _velocity(
-        self, epoch: _Epoch, doppler: FloatArray
+        self, epoch: _Epoch, doppler: FloatArray, extra_rate_sd: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Solve for velocity; outliers of Doppler leave by the same test as those of range."""
         rate = -L1_WAVELENGTH * np.asarray(doppler, np.float64)
@@ -224,6 +235,7 @@ class SppSolver:
         if self.config.weighting == "elevation":
             sine = np.sin(epoch.geometry[:, kernels.ELEVATION])
             variance /= np.maximum(sine, 0.05) ** 2
+        variance += np.square(extra_rate_sd)
         out = np.zeros(n, np.bool_)
         unknown = np.full(4, np.nan), np.full((4, 4), np.nan), np.full(n, np.nan)
         for _ in range(self.config.max_exclusions + 1):

@@ -13,12 +13,15 @@ from deepseis_tracking.nco import aid_growth
 KEPT_S = 1.2
 """Of the past: longer than from the acquisition's samples to the hand-over, a slot later [s]."""
 
-REASONS = ("invalid", "uncertain", "stepped", "late", "diverged")
-"""Why aiding of a channel ends."""
+STEPPED = "stepped"
+REASONS = ("invalid", "uncertain", STEPPED, "late", "diverged")
+"""Why aiding of a channel ends, or goes on without the step that it made."""
+SWING_HZ_S2 = 2000.0
+"""Beyond a hole steps are told from a motion that swings so [Hz/s^2]: 3 g at 2 Hz."""
 
 
 class AidLimits(NamedTuple):
-    """Beyond them aiding is not used [Hz]: its sigma, a step from one message to the next."""
+    """Of the sigma, beyond which aiding is not used, and of steps, which are kept out [Hz]."""
 
     sd_hz: float
     step_hz: float
@@ -38,6 +41,9 @@ class AidingSpan:
         As the compiled channel takes it.
     knots, rates : ndarray
         Doppler [Hz] and its rate [Hz/s] at the uniform knots.
+    offset_hz : float
+        What has been added to the predictions since they became valid: less the steps that they
+        made [Hz].
     """
 
     def __init__(self, sample_rate_hz: float) -> None:
@@ -47,7 +53,7 @@ class AidingSpan:
         self.record["clock_hz"] = np.nan
         self.knots: FloatArray = np.zeros(0)
         self.rates: FloatArray = np.zeros(0)
-        self._stepped = False
+        self.offset_hz = 0.0
 
     @property
     def valid(self) -> bool:
@@ -70,51 +76,46 @@ class AidingSpan:
             return 0.0
         return float(aid_growth(float(begin), float(end), aid, self.rates, self.sample_rate_hz))
 
-    def take(self, aiding: Aiding, satellite: str, limits: AidLimits, *, in_use: bool) -> str:
+    def take(self, aiding: Aiding, satellite: str, limits: AidLimits) -> str:
         """Append the satellite's knots of a message.
 
-        A step of the prediction ends aiding: the loop goes on at its frequency, and takes the new
-        prediction up from there as if aiding began.
+        A step of the prediction is a correction of what it had been wrong by, and the loop has
+        held that already: the step is kept out, whatever form the aiding has.
 
         Parameters
         ----------
         aiding : Aiding
         satellite : str
         limits : AidLimits
-        in_use : bool
-            The NCO still runs on the knots at hand.
 
         Returns
         -------
         str
-            Why aiding that was valid ends here: one of `REASONS`, or "" if it does not.
+            What became of aiding that was valid, one of `REASONS`; "" where it just goes on.
         """
         was_valid = self.valid
-        reason = self._fault(aiding, satellite, limits)
-        self._stepped = in_use and (self._stepped or reason == "stepped")
-        if reason or self._stepped:
+        if reason := _fault(aiding, satellite, limits):
             self.valid = False
             return reason if was_valid else ""
         row = aiding.satellites.index(satellite)
-        self._append(aiding, aiding.carrier_doppler_hz[row], aiding.carrier_doppler_rate[row])
+        knots, stepped = aiding.carrier_doppler_hz[row], False
+        if not was_valid:
+            self.offset_hz = 0.0
+        else:
+            step = knots[0] + self.offset_hz - self._predicted(aiding.knot_sample_index)
+            stepped = abs(step) > limits.step_hz + self._swing_hz(aiding.knot_sample_index)
+            self.offset_hz -= step if stepped else 0.0
+        self._append(aiding, knots + self.offset_hz, aiding.carrier_doppler_rate[row])
         self.record["through"] = aiding.valid_through
         self.record["clock_hz"] = aiding.clock_drift_hz
         self.valid = True
-        return ""
+        return STEPPED if stepped else ""
 
-    def _fault(self, aiding: Aiding, satellite: str, limits: AidLimits) -> str:
-        if not aiding.valid or satellite not in aiding.satellites:
-            return "invalid"
-        if aiding.knot_count < 1 or aiding.knot_step_samples < 1:
-            return "invalid"
-        row = aiding.satellites.index(satellite)
-        for table in (aiding.carrier_doppler_hz, aiding.carrier_doppler_rate):
-            if not np.isfinite(table[row]).all():
-                return "invalid"
-        if not aiding.doppler_sd_hz[row] <= limits.sd_hz:
-            return "uncertain"
-        step = aiding.carrier_doppler_hz[row][0] - self._predicted(aiding.knot_sample_index)
-        return "stepped" if self.valid and abs(step) > limits.step_hz else ""
+    def _swing_hz(self, sample: int) -> float:
+        """Return by what a straight Doppler may be off at a knot beyond the last [Hz]."""
+        aid, last = self.record[0], len(self.knots) - 1
+        hole = max(0, sample - int(aid["first"]) - last * int(aid["step"])) / self.sample_rate_hz
+        return 0.5 * SWING_HZ_S2 * hole**2
 
     def _predicted(self, sample: int) -> float:
         """Doppler that the knots at hand have for a knot of the same grid [Hz]."""
@@ -139,5 +140,19 @@ class AidingSpan:
             knots = np.concatenate([self.knots[low:old], knots])
             rates = np.concatenate([self.rates[low:old], rates])
             first = old_first + low * step
-        self.knots, self.rates = knots, rates
+        # Copies: what comes out of a message may be read-only, which is another type to kernels.
+        self.knots, self.rates = np.array(knots), np.array(rates)
         self.record["first"], self.record["step"] = first, step
+
+
+def _fault(aiding: Aiding, satellite: str, limits: AidLimits) -> str:
+    """Return why a satellite's aiding cannot be used, or ""."""
+    if not aiding.valid or satellite not in aiding.satellites:
+        return "invalid"
+    if aiding.knot_count < 1 or aiding.knot_step_samples < 1:
+        return "invalid"
+    row = aiding.satellites.index(satellite)
+    for table in (aiding.carrier_doppler_hz, aiding.carrier_doppler_rate):
+        if not np.isfinite(table[row]).all():
+            return "invalid"
+    return "" if aiding.doppler_sd_hz[row] <= limits.sd_hz else "uncertain"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from deepseis_core.config import check, setting
 from deepseis_core.constants import CA_LENGTH, CA_RATE_CPS, L1_HZ
 from deepseis_core.lnav_decoder import EphemerisEvent, Event, LnavDecoder, SubframeEvent
+from deepseis_core.loop_noise import FALLBACK_BANDWIDTH_HZ
 from deepseis_core.types import (
     AcquisitionResult,
     Aiding,
@@ -51,7 +52,7 @@ class TrackingConfig:
     )  # fmt: skip
     fallback_order: int = setting(3, "PLL order in that time [-]", low=1, high=3)
     fallback_bandwidth_hz: float = setting(
-        50.0, "PLL noise bandwidth in that time [Hz]", low=0.5, high=100
+        FALLBACK_BANDWIDTH_HZ, "PLL noise bandwidth in that time [Hz]", low=0.5, high=100
     )
     loop_design: str = setting(
         "realised",
@@ -99,7 +100,7 @@ class TrackingConfig:
         5.0, "aiding whose one sigma is larger is not used [Hz]", low=0
     )
     aid_step_limit_hz: float = setting(
-        5.0, "a larger step from one message to the next is not followed [Hz]", low=0
+        0.25, "policy continue: a larger step from one message to the next is kept out [Hz]", low=0
     )
     max_extrapolation_s: float = setting(
         0.05, "aiding is extrapolated so far, then dropped [s]", low=0
@@ -242,9 +243,11 @@ class Channel:
 
     def aid(self, aiding: Aiding) -> None:
         """Take the aiding of the next block."""
-        limits = AidLimits(self.config.aid_sd_limit_hz, self.config.aid_step_limit_hz)
-        in_use = self.mode == TrackingMode.TRACK_AIDED
-        reason = self.aiding.take(aiding, self.satellite, limits, in_use=in_use)
+        # With the policy reset aiding is the base: the loop has nothing of its own to hold.
+        goes_on = self.config.aid_policy == "continue"
+        step_hz = self.config.aid_step_limit_hz if goes_on else np.inf
+        limits = AidLimits(self.config.aid_sd_limit_hz, step_hz)
+        reason = self.aiding.take(aiding, self.satellite, limits)
         if reason:
             self.aid_dropped[reason] += 1
 

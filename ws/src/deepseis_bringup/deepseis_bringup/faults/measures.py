@@ -50,6 +50,8 @@ class WrongCycles:
         Loss-of-lock marks after the first.
     greatest : float
         Greatest deviation within an arc [cycles].
+    times : tuple of float
+        When changes and epochs off were; of the latter the first of each second [s].
     """
 
     satellite: str
@@ -57,6 +59,7 @@ class WrongCycles:
     epochs: int
     marks: int
     greatest: float
+    times: tuple[float, ...] = ()
 
 
 def wrong_cycles(
@@ -83,14 +86,20 @@ def wrong_cycles(
         starts[:1] = True
         arcs = np.split(np.arange(t.size), np.flatnonzero(starts)[1:])
         known = (marks & int(Lli.HALF_CYCLE)) == 0
+        arcs = [arc for rows in arcs if (arc := rows[known[rows]]).size]
         changes = epochs = 0
-        greatest = 0.0
-        for off in deviations(constant, [rows[known[rows]] for rows in arcs]):
+        greatest, times = 0.0, list[float]()
+        for arc, off in zip(arcs, deviations(constant, arcs), strict=True):
             greatest = max(greatest, float(np.abs(off).max()))
-            epochs += int((np.abs(off) > 0.25).sum())
+            far = np.abs(off) > 0.25
+            epochs += int(far.sum())
             settled = median_filter(off, min(SETTLED_EPOCHS, off.size), mode="nearest")
-            changes += int(np.count_nonzero(np.diff(np.round(2.0 * settled))))
-        found.append(WrongCycles(name, changes, epochs, int(starts[1:].sum()), greatest))
+            (changed,) = np.nonzero(np.diff(np.round(2.0 * settled)))
+            changes += changed.size
+            _, firsts = np.unique(np.floor(t[arc][far]), return_index=True)
+            times += [*t[arc[1:]][changed].tolist(), *t[arc][far][firsts].tolist()]
+        marked = int(starts[1:].sum())
+        found.append(WrongCycles(name, changes, epochs, marked, greatest, tuple(sorted(times))))
     return found
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from deepseis_bringup.accept.tables import Acceptance, Goal, Row
 from deepseis_bringup.faults.measures import Timelines, loss_of
+from deepseis_bringup.faults.record import Timeline
 from deepseis_bringup.report.plot import PALETTE, Figure, Panel, axis, envelope, line
 from deepseis_bringup.soak.observables import Holes
 from deepseis_bringup.soak.plan import Disturbance
@@ -21,6 +22,8 @@ GROWTH_MB_PER_H: Final = 8.0
 """Goal of memory's slope with two of its sigmas: 200 MB a day fill no machine in a week."""
 LEAST_HOURS: Final = 0.25
 """Of a warm life, to hold its slope against the goal."""
+BEFORE_S: Final = 1.0
+"""What was not there so long before a disturbance is none of its losses [s]."""
 LOOKED_S: Final = 12.0
 """After a disturbance, or to the next one [s]."""
 
@@ -47,9 +50,16 @@ def losses(
             continue  # the next one hit before this one was over: theirs is one gap
         lost = loss_of(timelines, item.begin, item.end, until)
         for name, seconds in lost.missing.items():
+            if not _was_there(timelines[name], item.begin):
+                continue  # lost by one before
             beyond = max(0.0, seconds - item.length) if seconds else 0.0
             found[item.name][name].append((seconds, beyond))
     return found
+
+
+def _was_there(line: Timeline, begin: float) -> bool:
+    t, good = line
+    return bool((good & (t >= begin - BEFORE_S) & (t < begin)).any())
 
 
 def losses_of_holes(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
 from deepseis_bringup.accept.tables import Acceptance, Goal, Row
 from deepseis_bringup.faults.measures import wrong_cycles
 from deepseis_bringup.soak.observables import soak_observables
+from deepseis_bringup.soak.plan import Disturbance
 from deepseis_bringup.soak.report import (
     add_losses,
     add_resources,
@@ -21,6 +22,8 @@ Say = Callable[[str], None]
 
 SIGNAL: Final = "from IF samples, over DDS"
 OBSERVABLES: Final = "from observables, one process"
+SHOWN: Final = 10
+"""Wrong phases of a satellite that are listed with time and place."""
 FIRST_S: Final = 10.0
 """Phases are held against the truth from here on: their polarity is known [s]."""
 
@@ -56,7 +59,21 @@ def _add_run(acceptance: Acceptance, run: SoakRun) -> None:
             Goal.at_most(0.0)),
         Row(table, scene, "epochs off by > 1/4 cycle without LLI", "-", float(epochs), None,
             Goal.at_most(0.0)),
+        *(
+            Row(table, scene, f"{item.satellite} wrong without LLI at", "s",
+                f"{at:.2f}, {_last(run.disturbances, at)}")
+            for item in wrong for at in item.times[:SHOWN]
+        ),
     )  # fmt: skip
+
+
+def _last(disturbances: Sequence[Disturbance], at: float) -> str:
+    """Say which disturbance began last before a moment [s]."""
+    before = [item for item in disturbances if item.begin <= at]
+    if not before:
+        return "before any disturbance"
+    last = max(before, key=lambda item: item.begin)
+    return f"{at - last.begin:.2f} s into {last.name} of {last.length:.2f} s"
 
 
 def soak_from_observables(
