@@ -23,7 +23,7 @@ pytestmark = [pytest.mark.launch, pytest.mark.timeout(300)]
 
 ONSET, KILL, LENGTH = 6.5, 7.5, 26.0
 BUSY = os.getloadavg()[0] > 2 * (os.cpu_count() or 1)
-PACE = 0.25 if BUSY else 0.7
+PACE = 0.25 if BUSY else 0.5
 """A process takes a second to start, and ten on a machine that has other work."""
 AFTER = 2.5
 """From the return of one to the death of the next, and to the end [s]."""

@@ -2,7 +2,7 @@
 
 The file grows under a temporary name and takes its long name (which holds the period covered)
 when it is closed. After each second of data everything written is handed to the system, so a
-killed process loses one second at most.
+killed process loses one second at most; the next one in the same folder goes on with its file.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from deepseis_core.errors import InputError
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.rinex_nav import rinex3_name
 from deepseis_core.types import FloatArray, Observations
+from deepseis_pvt.rinex_left import ENDING, left_files, take
 
 OBSERVATION_TYPES = "C1C L1C D1C S1C"
 VERSIONS = ("3.05", "4.02")
@@ -254,17 +255,36 @@ class RinexObsWriter:
 
     def _open(self, position: FloatArray | None) -> None:
         assert self._start is not None
+        if self._go_on():
+            return
         year, month, day, hour, minute, ns = self._start.to_calendar()
         stamp = f"{year:04d}{month:02d}{day:02d}{hour:02d}{minute:02d}{ns // NS_PER_S:02d}"
-        self.path = self.folder / f"{self.station.name}_{stamp}.rnx.part"
+        self.path = self.folder / f"{self.station.name}_{stamp}{ENDING}"
         station = self.station
         if station.position_ecef is None and position is not None and np.isfinite(position).all():
             x, y, z = map(float, position)
             station = replace(station, position_ecef=(x, y, z))
         header = header_lines(station, self._start, self._interval, self.created, self.version)
         self._file, self._size = self.path.open("wb", buffering=0), 0
+        take(self._file)
         self._waiting = "\n".join(header) + "\n" + self._waiting
         self.flush()
+
+    def _go_on(self) -> bool:
+        """Go on with what one that died has left of this hour; what it left of others, finish."""
+        assert self._start is not None
+        for left in left_files(self.folder, self.station.name):
+            if self._file or not left.goes_on(self._start, self._interval, self.version):
+                left.finish(self.station.name)
+                continue
+            self.path, self._start, self._size = left.path, left.start, left.size
+            self._file = self.path.open("r+b", buffering=0)
+            take(self._file)
+            self._file.truncate(self._size)
+            self._file.seek(self._size)
+        if self._file is not None:
+            self.flush()
+        return self._file is not None
 
     def __enter__(self) -> RinexObsWriter:
         """Return the writer."""

@@ -49,7 +49,8 @@ def recover(
 
     Keeps every message that can be read, writes the index and metadata.yaml anew, and tells what
     was lost, topic by topic. A damaged file stays beside its successor; one that is whole is left
-    as it is, one that is being recorded is refused.
+    as it is, one that is being recorded is refused. RINEX that was still growing in the run folder
+    gets its name.
 
     \b
     Examples:
@@ -59,10 +60,14 @@ def recover(
     with one_line_errors():
         from deepseis_bringup.bags import recovery
         from deepseis_bringup.bags import text as bag_text
+        from deepseis_pvt.rinex_left import finish_left
 
         results = recovery.recover_bag(bag_of(bag), target=output, replace=replace)
         for line in bag_text.recovery_lines(results):
             typer.echo(line)
+        if bag.is_dir() and output is None:
+            for path in finish_left(bag):
+                typer.echo(f"{path}: finished")
 
 
 def record(
