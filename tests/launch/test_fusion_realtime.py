@@ -13,8 +13,9 @@ from dataclasses import replace
 import graph_runs
 import numpy as np
 import pytest
+from realtime_quake import BUSY, by_the_clock, make_scene, payloads_of
 
-from deepseis_bringup.accept.scene import RATE_HZ, Scene, aided
+from deepseis_bringup.accept.scene import RATE_HZ, aided
 from deepseis_bringup.bags.recorded_misses import recorded_misses
 from deepseis_bringup.bags.recording_queue import stamp_of_cdr
 from deepseis_bringup.graph import build_graph
@@ -23,16 +24,12 @@ from deepseis_bringup.supervisor import Supervisor, own_domain, running
 from deepseis_bringup.watch import GraphWatch
 from deepseis_core.ros import codecs
 from deepseis_core.types import TrackingFlag
-from deepseis_sim import scenario as scenarios
-from deepseis_sim.motions import Circle
-from deepseis_sim.sky import SkyConfig
 from deepseis_tracking.fallback import AGREED_S
 
 pytestmark = [pytest.mark.launch, pytest.mark.slow, pytest.mark.timeout(400)]
 
-BUSY = os.getloadavg()[0] > 2 * (os.cpu_count() or 1)
 PACE = 0.5 if BUSY else 1.5
-ONSET, STOP, LENGTH = 6.5, 8.0, 11.0
+STOP, LENGTH = 8.0, 11.0
 BEGUN = 1.0
 ALONE_SAMPLES = round((AGREED_S + 0.04) * RATE_HZ)
 """From a block without aiding to the last that a loop may work alone: two blocks at the ends."""
@@ -44,14 +41,7 @@ BLOCK_NS = 20_000_000
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    """Nine satellites; 3 cm at 2 Hz from 6.5 s on: 0.5 g."""
-    circle = Circle(radius=0.03, frequency_hz=2.0, start=ONSET, duration=LENGTH, ramp=0.5)
-    base = scenarios.load_scenario("sine-2hz", short=True)
-    sky = SkyConfig(satellites=9)
-    small = replace(base, duration=LENGTH, motion=(circle,), sky=sky, base=None)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deepseis_bringup.accept.scene.load_scenario", lambda *_, **__: small)
-        return Scene("sine-2hz", tmp_path_factory.mktemp("scene"), short=True)
+    return make_scene(tmp_path_factory.mktemp("scene"), LENGTH)
 
 
 @pytest.fixture(scope="module")
@@ -63,15 +53,7 @@ def lockstep(scene, tmp_path_factory):
 def live(scene, tmp_path_factory):
     """The same by the clock; three processes stand still for 0.3 s each during the motion."""
     folder, config = tmp_path_factory.mktemp("live"), scene.config(aided(8.0))
-    config = replace(
-        config,
-        source={**config.source, "pace": PACE},
-        mode="realtime",
-        record_dir=str(folder / "bag"),
-        record_if=False,
-        output_dir=str(folder),
-        watched=True,
-    )
+    config = by_the_clock(config, folder, PACE, output_dir=str(folder))
     stopped = set()
     with own_domain() as environment:
         nodes = Supervisor(build_graph(config), folder, environment=environment)
@@ -86,7 +68,7 @@ def live(scene, tmp_path_factory):
 
             nodes.wait(poll=poll, timeout=120)
     run = graph_runs.Run(folder, {})
-    return run, {name.lstrip("/"): data for name, data in run.payloads().items()}
+    return run, payloads_of(run)
 
 
 @pytest.fixture(scope="module")

@@ -1,14 +1,14 @@
 """Every other node of a station killed once (kill -9): it goes on, says so, has the node back."""
 
-import os
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import graph_runs
 import numpy as np
 import pytest
+from realtime_quake import BUSY, ONSET, by_the_clock, make_scene, payloads_of
 
-from deepseis_bringup.accept.scene import RATE_HZ, Scene, aided
+from deepseis_bringup.accept.scene import RATE_HZ, aided
 from deepseis_bringup.base import with_base
 from deepseis_bringup.graph import build_graph
 from deepseis_bringup.restarts import Restarts
@@ -16,15 +16,11 @@ from deepseis_bringup.supervisor import Supervisor, own_domain, running
 from deepseis_bringup.watch import GraphWatch
 from deepseis_core.ros import codecs
 from deepseis_core.types import MotionKind, PreciseStatus, PvtStatus, TrackingFlag
-from deepseis_sim import scenario as scenarios
-from deepseis_sim.motions import Circle
-from deepseis_sim.sky import SkyConfig
 
 pytestmark = [pytest.mark.launch, pytest.mark.slow, pytest.mark.timeout(600)]
 
 VICTIMS = ("imu_source", "pvt", "motion_state", "acquisition", "base_source")
-ONSET, FIRST, LENGTH = 6.5, 9.0, 60.0
-BUSY = os.getloadavg()[0] > 2 * (os.cpu_count() or 1)
+FIRST, LENGTH = 9.0, 60.0
 PACE = 0.2 if BUSY else 0.8
 AFTER = 3.0
 """From the return of one to the death of the next, and to the end [s]."""
@@ -34,13 +30,7 @@ BACK_WITHIN = 2.0
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    """Nine satellites and a base; 3 cm at 2 Hz: 0.5 g, which the loops bear alone."""
-    circle = Circle(radius=0.03, frequency_hz=2.0, start=ONSET, duration=LENGTH, ramp=0.5)
-    base = scenarios.load_scenario("sine-2hz", short=True)
-    small = replace(base, duration=LENGTH, motion=(circle,), sky=SkyConfig(satellites=9))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deepseis_bringup.accept.scene.load_scenario", lambda *_, **__: small)
-        return Scene("sine-2hz", tmp_path_factory.mktemp("scene"), short=True)
+    return make_scene(tmp_path_factory.mktemp("scene"), LENGTH, base=True)
 
 
 @dataclass
@@ -57,14 +47,7 @@ def faults(scene, tmp_path_factory):
     """Outages by victim, and what was recorded."""
     folder = tmp_path_factory.mktemp("run")
     config = with_base(scene.config(aided(8.0)))
-    config = replace(
-        config,
-        source={**config.source, "pace": PACE},
-        mode="realtime",
-        record_dir=str(folder / "bag"),
-        record_if=False,
-        watched=True,
-    )
+    config = by_the_clock(config, folder, PACE)
     restarts, outages, killed_at = Restarts(), {}, 0.0
     with own_domain() as environment:
         nodes = Supervisor(build_graph(config), folder, environment=environment, restarts=restarts)
@@ -93,7 +76,7 @@ def faults(scene, tmp_path_factory):
     for name, outage in outages.items():
         print(f"{name}: {outage.away_s:.2f} s from the kill to the new process' first word")
     run = graph_runs.Run(folder, {})
-    payloads = {name.lstrip("/"): data for name, data in run.payloads().items()}
+    payloads = payloads_of(run)
     return outages, run, payloads
 
 

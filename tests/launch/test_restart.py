@@ -1,45 +1,32 @@
 """Fusion and trackers killed during the quake: the station goes on, says so, has them back."""
 
-import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import graph_runs
 import numpy as np
 import pytest
+from realtime_quake import BUSY, by_the_clock, make_scene, payloads_of
 from scipy.interpolate import CubicSpline
 
-from deepseis_bringup.accept.scene import RATE_HZ, Scene, aided
+from deepseis_bringup.accept.scene import RATE_HZ, aided
 from deepseis_bringup.graph import build_graph
 from deepseis_bringup.restarts import Restarts
 from deepseis_bringup.supervisor import Supervisor, own_domain, running
 from deepseis_bringup.watch import GraphWatch
 from deepseis_core.ros import codecs
 from deepseis_core.types import Lli, PvtStatus, TrackingFlag, TrackingMode
-from deepseis_sim import scenario as scenarios
-from deepseis_sim.motions import Circle
-from deepseis_sim.sky import SkyConfig
 
 pytestmark = [pytest.mark.launch, pytest.mark.timeout(300)]
 
-ONSET, KILL, LENGTH = 6.5, 7.5, 26.0
-BUSY = os.getloadavg()[0] > 2 * (os.cpu_count() or 1)
+KILL, LENGTH = 7.5, 26.0
 PACE = 0.25 if BUSY else 0.5
-"""A process takes a second to start, and ten on a machine that has other work."""
 AFTER = 2.5
 """From the return of one to the death of the next, and to the end [s]."""
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    """Nine satellites, so a fix after 1.4 s; 3 cm at 2 Hz: 0.5 g."""
-    circle = Circle(radius=0.03, frequency_hz=2.0, start=ONSET, duration=LENGTH, ramp=0.5)
-    base = scenarios.load_scenario("sine-2hz", short=True)
-    small = replace(
-        base, duration=LENGTH, motion=(circle,), sky=SkyConfig(satellites=9), base=None
-    )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deepseis_bringup.accept.scene.load_scenario", lambda *_, **__: small)
-        return Scene("sine-2hz", tmp_path_factory.mktemp("scene"), short=True)
+    return make_scene(tmp_path_factory.mktemp("scene"), LENGTH)
 
 
 @dataclass(frozen=True)
@@ -55,14 +42,7 @@ def faults(scene, tmp_path_factory):
     """When the victims were away, and what was recorded."""
     folder = tmp_path_factory.mktemp("run")
     config = scene.config(aided(8.0))
-    config = replace(
-        config,
-        source={**config.source, "pace": PACE},
-        mode="realtime",
-        record_dir=str(folder / "bag"),
-        record_if=False,
-        watched=True,
-    )
+    config = by_the_clock(config, folder, PACE)
     restarts, died, back = Restarts(), {}, {}
     with own_domain() as environment:
         nodes = Supervisor(build_graph(config), folder, environment=environment, restarts=restarts)
@@ -85,7 +65,7 @@ def faults(scene, tmp_path_factory):
     assert set(nodes.statuses().values()) == {0}
     assert set(back) == {"fusion", "trackers"}, "the recording was too short for this machine"
     run = graph_runs.Run(folder, {})
-    payloads = {name.lstrip("/"): data for name, data in run.payloads().items()}
+    payloads = payloads_of(run)
     return {name: Outage(died[name], back[name]) for name in back}, run, payloads
 
 
