@@ -180,6 +180,49 @@ def test_a_receiver_that_has_had_no_aiding_has_the_conventional_loop(still):
         assert int(channel.state["fallback_count"]) == 0
 
 
+class Fading(Signal):
+    """A signal that is away for a while [s]."""
+
+    def __init__(self, level, begin, end, seed):
+        super().__init__(level, motion=circle, seed=seed)
+        self.begin, self.end = begin, end
+
+    def block(self, index):
+        full, self.amplitude = self.amplitude, 0.0
+        noise = super().block(index)
+        self.amplitude = full
+        t = (index * BLOCK + np.arange(BLOCK)) / RATE
+        away = (t >= self.begin) & (t < self.end)
+        return [np.where(away, n, w) for n, w in zip(noise, super().block(index), strict=True)]
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("level", [36.0, 42.0])
+def test_a_signal_that_vanishes_from_a_wide_loop_takes_no_phase_with_it(level, seed):
+    """On noise alone the loop would walk half a cycle before anything tells it (a soak's find)."""
+    gone = 4.5034
+    signal = Fading(level, gone, END, seed)
+    result = dataclasses.replace(signal.result(), cn0_dbhz=level)
+    _, epochs = track(signal, 4.9, None, away(aiding_of(signal)), result=result)
+    start, length, error = errors(signal, epochs)
+    flags, error = column(epochs, "flags"), half_cycle_free(error)
+    assert length[(start > GONE + 0.1) & (start < gone)].max() < 0.0021
+    marked = start[(start > 3.0) & (flags & TrackingFlag.SLIP != 0)]
+    assert gone < marked[0] < gone + 0.05
+    before = (start > 3.0) & (start < marked[0])
+    assert np.abs(error[before]).max() < 0.2
+
+
+@pytest.mark.parametrize("level", [39.0])
+def test_a_short_fade_is_coasted_through(level):
+    signal = Fading(level, 4.5034, 4.5154, 3)
+    result = dataclasses.replace(signal.result(), cn0_dbhz=level)
+    _, epochs = track(signal, 5.2, None, away(aiding_of(signal)), result=result)
+    start, _, error = errors(signal, epochs)
+    assert not (column(epochs, "flags")[start > 3.0] & TrackingFlag.SLIP).any()
+    assert np.abs(half_cycle_free(error)[start > 3.0]).max() < 0.2
+
+
 def test_aiding_that_comes_back_wrong_is_not_believed(moving):
     right = aiding_of(moving)
     frozen = right(round(3.9 / 0.02))

@@ -25,7 +25,7 @@ from deepseis_tracking.fallback import (
 from deepseis_tracking.lock_detector import PERIOD_S, update_cn0, update_locks
 from deepseis_tracking.nco import choose_aiding, plan_nco, plan_without_aiding
 from deepseis_tracking.replica import MARGIN
-from deepseis_tracking.slip_detector import may_have_slipped
+from deepseis_tracking.slip_detector import is_quiet, may_have_slipped
 
 IDLE, PULL_IN, BIT_SYNC, TRACK, TRACK_AIDED = 0, 1, 2, 3, 4
 CODE_LOCK, PHASE_LOCK, BIT_SYNCED, POLARITY_KNOWN, SLIP = 1, 2, 4, 8, 16
@@ -138,9 +138,13 @@ def _after_integration(
         gains = config.aided_gains if narrow else config.track_gains
         if state.fallback == 1:
             gains = config.fallback_gains
-        filter_carrier(state, error, gains[0], gains[1], gains[2], period)
+        power = i * i + q * q - 2.0
+        quiet = is_quiet(state, power, period)
+        followed = 0.0 if quiet else error
+        filter_carrier(state, followed, gains[0], gains[1], gains[2], period)
         state.code_slope = config.dll_gain * code_error
-        if may_have_slipped(state, error, i * i + q * q - 2.0, period) and state.phase_lock == 1:
+        slipped = may_have_slipped(state, error, power, period, quiet)
+        if slipped and state.phase_lock == 1:
             state.pending_flags |= SLIP
         if state.phase_lock == 0 or state.pending_flags & SLIP:
             state.polarity = 0  # half a cycle may be lost: the next subframe tells

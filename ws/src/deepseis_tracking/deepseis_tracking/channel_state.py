@@ -47,6 +47,7 @@ STATE = np.dtype(
         ("narrow", "i8"),  # 1: has settled with aiding, the aided loop's gains hold
         ("pull_in_aided", "i8"),  # 1: this pull-in uses aiding
         ("fallback", "i8"),  # 1: short integrations, as the aiding is away (`fallback`)
+        ("quiet_s", "f8"),  # for how long such integrations have seen no signal
         ("fallback_count", "i8"),  # changes into that
         ("agreed_s", "f8"),  # time that aiding has been compared with such a loop
         ("agreed_cycles", "f8"),  # what it has lacked in it
