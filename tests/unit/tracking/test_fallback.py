@@ -196,8 +196,8 @@ class Fading(Signal):
         return [np.where(away, n, w) for n, w in zip(noise, super().block(index), strict=True)]
 
 
-@pytest.mark.parametrize("seed", [3, 4])
-@pytest.mark.parametrize("level", [36.0, 42.0])
+@pytest.mark.parametrize("seed", [5, 7])
+@pytest.mark.parametrize("level", [36.0, 38.0])
 def test_a_signal_that_vanishes_from_a_wide_loop_takes_no_phase_with_it(level, seed):
     """On noise alone the loop would walk half a cycle before anything tells it (a soak's find)."""
     gone = 4.5034
