@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import tempfile
 from collections import Counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from deepseis_bringup.accept.tables import Acceptance
+from deepseis_bringup.restarts import RestartConfig, Restarts
 from deepseis_bringup.soak.observables import Holes, renewed, soak_observables
 from deepseis_bringup.soak.plan import FIRST_S, LAST_S, LENGTHS, Disturbance, plan
 from deepseis_bringup.soak.report import (
@@ -19,6 +21,7 @@ from deepseis_bringup.soak.report import (
     losses_of_holes,
 )
 from deepseis_bringup.soak.resources import Resources, growth_of
+from deepseis_bringup.soak.signal import Reaper
 from deepseis_core.ephemeris import pack, satellite_states
 from deepseis_core.gps_time import GpsTime
 from deepseis_sim.nominal_constellation import nominal_constellation
@@ -84,6 +87,27 @@ def test_what_is_lost_beyond_a_gap_is_charged_to_it() -> None:
             holes.add(float(at))
     of_holes = losses_of_holes(hit, {"aiding": holes}, 100.0)["imu-gap"]["aiding"]
     assert [pair[1] for pair in of_holes] == pytest.approx([2.5, 0.0], abs=0.03)
+
+
+def test_the_second_death_of_a_node_lasts_until_it_is_back_again() -> None:
+    """Not until the next look: it has come back before."""
+    now, process = 0.0, SimpleNamespace(kill=lambda: None)
+    restarts = Restarts(RestartConfig(backoff_s=(0.0,)), clock=lambda: now)
+    nodes = SimpleNamespace(processes={"pvt": process})
+    reaper = Reaper(nodes, restarts, [Disturbance("kill", at, 0.0, "pvt") for at in (5.0, 50.0)])
+    noticed, started, back = 0.1, 0.2, 2.0
+    for step in range(1000):
+        now = 0.1 * step
+        reaper.poll(now)
+        for death in (5.0, 50.0):
+            if abs(now - death - noticed) < 0.05:
+                restarts.died("pvt", "was killed by signal 9")
+            elif abs(now - death - started) < 0.05:
+                restarts.due()
+            elif abs(now - death - back) < 0.05:
+                restarts.joined("pvt")
+    assert [item.begin for item in reaper.done()] == pytest.approx([5.0, 50.0])
+    assert [item.length for item in reaper.done()] == pytest.approx([2.0, 2.0], abs=0.11)
 
 
 def test_a_renewed_broadcast_is_the_same_orbit_and_clock() -> None:

@@ -155,7 +155,7 @@ def _play(
             running(nodes),
             GraphWatch(environment, members=members, restarts=restarts) as watch,
         ):
-            reaper = _Reaper(nodes, restarts, [item for item in planned if item.kind == "kill"])
+            reaper = Reaper(nodes, restarts, [item for item in planned if item.kind == "kill"])
             due = 0.0
 
             def poll() -> None:
@@ -177,7 +177,7 @@ def _play(
     return run
 
 
-class _Reaper:
+class Reaper:
     """Kills processes when their time has come, and notes when they are back."""
 
     def __init__(
@@ -185,6 +185,7 @@ class _Reaper:
     ) -> None:
         self.nodes, self.restarts, self.left = nodes, restarts, list(planned)
         self.died: list[tuple[str, float]] = []
+        self._restarts_before: list[int] = []
         self.back: dict[int, float] = {}
 
     def pids(self) -> Mapping[str, int]:
@@ -201,14 +202,18 @@ class _Reaper:
             name = self.left.pop(0).victim
             if name in self.nodes.processes and name not in missing:
                 self.died.append((name, now))
+                self._restarts_before.append(self._restarts_of(name))
                 with contextlib.suppress(ProcessLookupError):
                     self.nodes.processes[name].kill()
                 return
-        for number, (name, when) in enumerate(self.died):
-            known = self.restarts.fates.get(name)
-            is_back = known is not None and known.restarts and name not in missing
-            if number not in self.back and is_back and now > when:
+        for number, (name, _) in enumerate(self.died):
+            again = self._restarts_of(name) > self._restarts_before[number]
+            if number not in self.back and again and name not in missing:
                 self.back[number] = now
+
+    def _restarts_of(self, name: str) -> int:
+        known = self.restarts.fates.get(name) if self.restarts is not None else None
+        return 0 if known is None else known.restarts
 
     def done(self) -> list[Disturbance]:
         """Return the deaths, with the time that each process was away."""
