@@ -9,6 +9,7 @@ anew at one end only and mean nothing, and watermarks hold as they come.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable, Mapping
 
 
 class CountedInput:
@@ -52,3 +53,41 @@ class CountedInput:
         while self._announced and (not self.counting or self._announced[0][0] <= self._received):
             _, through = self._announced.popleft()
             self.valid_through = max(self.valid_through, through)
+
+
+class CountedTopics:
+    """Topics of one node, each counted in its watermarks.
+
+    Parameters
+    ----------
+    topics : iterable of str
+        Those that are read.
+    counting : bool
+        As of `CountedInput`.
+
+    Examples
+    --------
+    >>> pvt = CountedTopics(["positions", "orbits"])
+    >>> pvt.announced({"positions": 1, "orbits": 0, "observations": 50}, 100)
+    >>> before = pvt.valid_through
+    >>> pvt.received("positions")
+    >>> before, pvt.valid_through
+    (-1, 100)
+    """
+
+    def __init__(self, topics: Iterable[str], *, counting: bool = True) -> None:
+        self._inputs = {topic: CountedInput(counting=counting) for topic in topics}
+
+    @property
+    def valid_through(self) -> int:
+        """Last sample through which everything has arrived on all topics."""
+        return min(item.valid_through for item in self._inputs.values())
+
+    def received(self, topic: str) -> None:
+        """Count a message."""
+        self._inputs[topic].received()
+
+    def announced(self, counts: Mapping[str, int], valid_through: int) -> None:
+        """Take a watermark, and for how many messages of each topic it stands."""
+        for topic, item in self._inputs.items():
+            item.announced(counts[topic], valid_through)

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
 from deepseis_core.config import setting
-from deepseis_core.counted import CountedInput
+from deepseis_core.counted import CountedInput, CountedTopics
 from deepseis_core.deadline import Deadline
 from deepseis_core.imu_grades import grade_named
 from deepseis_core.imu_message import decode_imu
@@ -50,7 +50,7 @@ from deepseis_ins.tight import TightConfig
 from deepseis_ins.tight_engine import TightFusionEngine
 from deepseis_msgs.msg import Displacement, DopplerAiding, InsSolution, Watermark
 
-FOLLOWED = ("if_source", "imu_source", "motion_state", "pvt")
+FOLLOWED = ("if_source", "imu_source", "motion_state")
 LEVELS = {FusionStatus.RUNNING: diagnostics.OK, FusionStatus.IMU_LOST: diagnostics.ERROR}
 
 
@@ -113,10 +113,9 @@ class FusionNode(Node):
         counting = not self.flow.rejoins
         followed = FOLLOWED + ("ldv_source",) * isinstance(self.engine, LdvFusionEngine)
         self.inputs = {name: CountedInput(counting=counting) for name in followed}
-        self.orbits, self.precise, self.rtk = (CountedInput(counting=counting) for _ in range(3))
-        self.epochs: CountedInput | None = None
-        if isinstance(self.engine, TightFusionEngine):
-            self.epochs = CountedInput(counting=counting)
+        topics = ["positions", "orbits", "precise", *["rtk"] * config.wait_rtk]
+        topics += ["ranges"] * isinstance(self.engine, TightFusionEngine)
+        self.gnss = CountedTopics(topics, counting=counting)
         self.motions = 0
         self.second = -1
         self.deadline = Deadline(1e-3 * config.fusion_deadline_ms)
@@ -148,6 +147,7 @@ class FusionNode(Node):
         if isinstance(self.engine, LdvFusionEngine):
             subscribe(self, codecs.LDV_VELOCITY, "ldv/velocity", self.on_ldv, qos.STREAM)
         self.flow.follow(self.inputs, self.on_watermark)
+        self.flow.follow(["pvt"], self.on_pvt_watermark)
         self.realtime: RealtimeReport | None = None
         if not self.flow.lockstep:
             meters = {"imu_to_aiding": "from IMU sample to aiding"}
@@ -195,27 +195,26 @@ class FusionNode(Node):
     def on_pvt(self, pvt: Pvt, _utc_ns: int) -> None:
         """Take a position."""
         self.engine.push_pvt(pvt)
-        self.inputs["pvt"].received()
+        self.gnss.received("positions")
         self.work()
 
     def on_precise(self, position: PrecisePosition, _utc_ns: int) -> None:
         """Take a precise position."""
         self.engine.push_precise(position)
-        self.precise.received()
+        self.gnss.received("precise")
         self.work()
 
     def on_rtk(self, position: PrecisePosition, _utc_ns: int) -> None:
         """Take a position against a base."""
         self.engine.push_rtk(position)
-        self.rtk.received()
+        self.gnss.received("rtk")
         self.work()
 
     def on_observations(self, observations: Observations, _utc_ns: int) -> None:
         """Take an epoch of ranges."""
         assert isinstance(self.engine, TightFusionEngine)
-        assert self.epochs is not None
         self.engine.push_observations(observations)
-        self.epochs.received()
+        self.gnss.received("ranges")
         self.work()
 
     def on_ldv(self, value: LdvVelocity, _utc_ns: int) -> None:
@@ -228,7 +227,7 @@ class FusionNode(Node):
     def on_ephemeris(self, ephemeris: Ephemeris, _utc_ns: int) -> None:
         """Take an orbit."""
         self.engine.push_ephemeris(ephemeris)
-        self.orbits.received()
+        self.gnss.received("orbits")
         self.work()
 
     def on_watermark(self, msg: Watermark) -> None:
@@ -240,12 +239,18 @@ class FusionNode(Node):
         if msg.node == "if_source" and self.realtime is not None:
             self.deadline.arrived(msg.valid_through)
         self.inputs[msg.node].announced(count, msg.valid_through)
-        if msg.node == "pvt":
-            self.orbits.announced(msg.ephemeris_count, msg.valid_through)
-            for item in (self.precise, self.rtk):
-                item.announced(msg.precise_count, msg.valid_through)
-            if self.epochs is not None:
-                self.epochs.announced(msg.observation_count, msg.valid_through)
+        self.work()
+
+    def on_pvt_watermark(self, msg: Watermark) -> None:
+        """Take how far positions are, and what belongs to them."""
+        counts = {
+            "positions": msg.event_count,
+            "orbits": msg.ephemeris_count,
+            "precise": msg.precise_count,
+            "rtk": msg.precise_count,
+            "ranges": msg.observation_count,
+        }
+        self.gnss.announced(counts, msg.valid_through)
         self.work()
 
     def on_deadline(self) -> None:
@@ -265,11 +270,9 @@ class FusionNode(Node):
         engine.source_valid(inputs["if_source"].valid_through)
         engine.imu_valid(inputs["imu_source"].valid_through + 1)
         engine.motion_valid(inputs["motion_state"].valid_through)
-        told = [inputs["pvt"], self.orbits, self.precise, *([self.rtk] * self.config.wait_rtk)]
-        told += [self.epochs] if self.epochs is not None else []
         if isinstance(engine, LdvFusionEngine):
             engine.ldv_valid(inputs["ldv_source"].valid_through)
-        engine.pvt_valid(min(item.valid_through for item in told))
+        engine.pvt_valid(self.gnss.valid_through)
         while (output := engine.advance(self.is_overdue())) is not None:
             self.publish(output)
         self.look_for_end()
