@@ -2,7 +2,7 @@
 
 import pytest
 
-from deepseis_core.deadline import Deadline
+from deepseis_core.deadline import MOST_NOTED, Deadline
 
 BLOCK = 80_000
 
@@ -57,3 +57,21 @@ def test_a_watermark_said_again_does_not_take_back_what_is_overdue(clock):
     deadline.arrived(BLOCK - 1)
     clock.now += 0.05
     assert deadline.look() == 2 * BLOCK - 1
+
+
+def test_where_nobody_looks_nothing_piles_up(clock):
+    """Lockstep: nodes note arrivals all the same."""
+    deadline = Deadline(0.2, clock=clock)
+    for number in range(2 * MOST_NOTED):
+        deadline.arrived(number)
+    assert len(deadline._due) == MOST_NOTED
+    deadline.look()
+    clock.now += 0.05
+    deadline.look()
+    clock.now += 0.05
+    deadline.look()
+    clock.now += 0.09
+    assert deadline.look() == -1
+    clock.now += 0.09
+    assert deadline.look() == 2 * MOST_NOTED - 1
+    assert not deadline._due

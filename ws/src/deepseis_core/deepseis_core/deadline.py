@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from time import monotonic
+from typing import Final
 
 STOOD_STILL_S = 0.1
 """Between two looks: the process itself stood still, and its inputs are still queued [s]."""
+MOST_NOTED: Final = 10_000
+"""Arrivals kept: minutes of blocks. In lockstep nobody looks; the newest ones say enough."""
 
 
 class Deadline:
@@ -44,7 +47,7 @@ class Deadline:
     def __init__(self, wait_s: float, *, clock: Callable[[], float] = monotonic) -> None:
         self.wait_s, self.clock = wait_s, clock
         self.overdue_through = -1
-        self._due: deque[tuple[int, float]] = deque()
+        self._due: deque[tuple[int, float]] = deque(maxlen=MOST_NOTED)
         self._looked = clock()
 
     def arrived(self, through: int) -> None:
@@ -55,7 +58,8 @@ class Deadline:
         """Return the last sample whose time is up; to be called often."""
         now = self.clock()
         if now - self._looked > STOOD_STILL_S:
-            self._due = deque((through, now) for through, _ in self._due)
+            again = [(through, now) for through, _ in self._due]
+            self._due = deque(again, MOST_NOTED)
         self._looked = now
         while self._due and now - self._due[0][1] > self.wait_s:
             through, _ = self._due.popleft()
