@@ -29,6 +29,27 @@ def test_rows_worked_through_make_room_for_others():
     assert store.ints.shape[1] == 64
 
 
+def test_a_backlog_that_has_been_worked_off_is_given_back():
+    store = TrackStore(["G01", "G02"])
+    store.push(message("G02", 0, 999, [row(0), row(1000)]))
+    for k in range(300):
+        rows = [row(10_000 * k + 1000 * j) for j in range(10)]
+        store.push(message("G01", 10_000 * k, 10_000 * k + 9999, rows))
+    assert store.ints.shape[1] > 3000
+    store.head[0] = store.tail[0] - 2
+    for k in range(300, 1200):
+        rows = [row(10_000 * k + 1000 * j) for j in range(10)]
+        store.push(message("G01", 10_000 * k, 10_000 * k + 9999, rows))
+        store.head[0] = store.tail[0] - 12
+    assert store.ints.shape[1] == store.floats.shape[1] <= 128
+    for number, expected in (
+        (0, list(range(11_988_000, 12_000_000, 1000))),
+        (1, [0, 1000]),
+    ):
+        waiting = store.ints[number, store.head[number] : store.tail[number], START]
+        assert waiting.tolist() == expected
+
+
 def test_a_satellite_that_never_reports_is_named():
     store = TrackStore(["G01", "G02"])
 

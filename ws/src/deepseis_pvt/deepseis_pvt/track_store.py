@@ -1,7 +1,8 @@
 """Integrations of all satellites that still wait for their grid epoch, and how far they reach.
 
 The store keeps one row per integration in arrays that the observables' kernels read. Rows leave
-it as the work passes them, so its size is the backlog of the slowest satellite.
+it as the work passes them, so its size is the backlog of the slowest satellite: of a second of
+2 ms integrations 4 MB for 32 satellites, which are given back when it has been worked off.
 """
 
 from __future__ import annotations
@@ -33,8 +34,10 @@ FLOAT_FIELDS = (
 _SLIP, _PHASE_LOCK = int(TrackingFlag.SLIP), int(TrackingFlag.PHASE_LOCK)
 _HALF_CYCLE = int(TrackingFlag.HALF_CYCLE)
 
-MAX_ROWS = 65536
-"""Rows of one satellite: 65 s of 1 ms or 22 minutes of 20 ms integrations [-]."""
+LEAST_ROWS, MAX_ROWS = 64, 65536
+"""Rows of one satellite; the most are 65 s of 1 ms or 22 minutes of 20 ms integrations [-]."""
+SPARE = 8
+"""Arrays that have room for so many times what is needed are given back [-]."""
 
 
 class TrackStore:
@@ -59,8 +62,7 @@ class TrackStore:
         self.satellites = tuple(satellites)
         self.number = {name: i for i, name in enumerate(self.satellites)}
         n = len(self.satellites)
-        self.ints: IntArray = np.zeros((n, 64, 5), np.int64)
-        self.floats: FloatArray = np.zeros((n, 64, len(FLOAT_FIELDS)))
+        self.ints, self.floats = _rows(n, LEAST_ROWS)
         self.head: IntArray = np.zeros(n, np.int64)
         self.tail: IntArray = np.zeros(n, np.int64)
         self.published: IntArray = np.full(n, -1, np.int64)
@@ -141,19 +143,41 @@ class TrackStore:
         self.tail[i] = rows.stop
 
     def _make_room(self, i: int, extra: int) -> None:
-        waiting = int(self.tail[i] - self.head[i])
-        rows = slice(int(self.head[i]), int(self.tail[i]))
-        self.ints[i, :waiting] = self.ints[i, rows].copy()
-        self.floats[i, :waiting] = self.floats[i, rows].copy()
-        self.head[i], self.tail[i] = 0, waiting
-        capacity = self.ints.shape[1]
-        while capacity < 2 * (waiting + extra):
+        """Move a satellite's rows to the front, or all into arrays as large as the backlog."""
+        waiting = self.tail - self.head
+        waiting[i] += extra
+        capacity = LEAST_ROWS
+        while capacity < 2 * int(waiting.max()):
             capacity *= 2
         if capacity > MAX_ROWS:
+            ahead, behind = self.satellites[int(np.argmax(waiting))], self.laggard()
             raise BufferError(
-                f"{self.satellites[i]} is {waiting} integrations ahead of {self.laggard()}: "
-                f"is the tracker of {self.laggard()} running?"
+                f"{ahead} is {waiting.max()} integrations ahead of {behind}: "
+                f"is the tracker of {behind} running?"
             )
-        if capacity > self.ints.shape[1]:
-            room = ((0, 0), (0, capacity - self.ints.shape[1]), (0, 0))
-            self.ints, self.floats = np.pad(self.ints, room), np.pad(self.floats, room)
+        present = self.ints.shape[1]
+        if capacity > present or SPARE * capacity <= present:
+            self._resize(capacity)
+        else:
+            self._to_front(i, self.ints, self.floats)
+
+    def _resize(self, capacity: int) -> None:
+        ints, floats = self.ints, self.floats
+        n = len(self.satellites)
+        self.ints, self.floats = _rows(n, capacity)
+        for i in range(n):
+            self._to_front(i, ints, floats)
+
+    def _to_front(self, i: int, ints: IntArray, floats: FloatArray) -> None:
+        waiting = int(self.tail[i] - self.head[i])
+        rows = slice(int(self.head[i]), int(self.tail[i]))
+        self.ints[i, :waiting] = ints[i, rows].copy()
+        self.floats[i, :waiting] = floats[i, rows].copy()
+        self.head[i], self.tail[i] = 0, waiting
+
+
+def _rows(satellites: int, capacity: int) -> tuple[IntArray, FloatArray]:
+    return (
+        np.zeros((satellites, capacity, 5), np.int64),
+        np.zeros((satellites, capacity, len(FLOAT_FIELDS))),
+    )
