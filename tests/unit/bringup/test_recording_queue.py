@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from deepseis_bringup.bags.recording_queue import StampOrder, speaker_of
+from deepseis_bringup.bags.recording_queue import StampOrder, speaker_of, status_name
 
 STREAM = {
     "pvt": [(10, b"p10"), (20, b"p20"), (30, b"p30")],
@@ -85,3 +85,16 @@ def test_who_published_is_read_off_the_bytes():
     assert speaker_of(status, ["pvt"]) == "pvt"
     assert speaker_of(request, ["trackers"]) == "trackers"
     assert speaker_of(request, ["trackers_g07"]) == "trackers_g07"
+
+
+def test_what_others_say_on_diagnostics_is_nobody_s_and_may_be_nothing():
+    """A lidar's driver, an updater without tasks: nothing of ours, nothing to stumble over."""
+    msg = pytest.importorskip("diagnostic_msgs.msg")
+    encode = pytest.importorskip("deepseis_core.ros.cdr").encode_message
+    empty = msg.DiagnosticArray()
+    empty.header.frame_id = "somewhere"
+    for array in (msg.DiagnosticArray(), empty):
+        assert (status_name(encode(array)), speaker_of(encode(array), ["pvt"])) == ("", "")
+    other = msg.DiagnosticArray(status=[msg.DiagnosticStatus(name="rover/pvt")])
+    assert status_name(encode(other)) == "rover/pvt"
+    assert speaker_of(encode(other), ["pvt"]) == ""

@@ -60,7 +60,7 @@ def speaker_of(cdr: bytes, members: Container[str]) -> str:
     """Name the flow member that published a diagnostic, an ephemeris or a request.
 
     Diagnostics carry its name ("deepseis: pvt", "deepseis: KOBE/pvt"), the others their
-    satellite's.
+    satellite's. Empty: it is none of ours.
     """
     at = _behind_text(12, cdr)
     (count,) = struct.unpack_from("<I", cdr, at)
@@ -68,13 +68,15 @@ def speaker_of(cdr: bytes, members: Container[str]) -> str:
     if text.startswith("G") and count == 4:
         own = f"trackers_{text.lower()}"
         return own if own in members else "trackers"
-    return status_name(cdr).removeprefix(OURS).rpartition("/")[2]
+    name = status_name(cdr)
+    return name.removeprefix(OURS).rpartition("/")[2] if name.startswith(OURS) else ""
 
 
 def status_name(cdr: bytes) -> str:
-    """Return the name of a diagnostic's first status."""
-    # Behind the count and the level.
-    return _text(cdr, _behind_text(12, cdr) + 8)
+    """Return the name of a diagnostic's first status; empty where it has none."""
+    at = _behind_text(12, cdr)
+    (count,) = struct.unpack_from("<I", cdr, at)
+    return _text(cdr, at + 8) if count else ""  # behind the count and the level
 
 
 def _behind_text(at: int, cdr: bytes) -> int:
