@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from fusion_bench import FusionBench, precise_positions
 
-from deepseis_bringup.commission import checks
-from deepseis_bringup.commission.checks import FAIL, OPEN, PASS, all_checks, allan
-from deepseis_bringup.commission.commissioning import page, verdict
+from deepseis_bringup.commission import commissioning
+from deepseis_bringup.commission.checks import FAIL, OPEN, PASS, Check, allan
+from deepseis_bringup.commission.commissioning import all_checks, page, verdict
 from deepseis_bringup.commission.data import StationData
 from deepseis_core.rotation import matrix_from_rotvec
 from deepseis_core.sample_clock import SampleClock
-from deepseis_core.types import PreciseStatus
+from deepseis_core.types import PreciseStatus, PvtStatus
 
 TILTS = [
     {"kind": "tilt", "pitch_deg": 4.0, "heading_deg": 6.0, "start": 15.0, "rise": 1.5},
@@ -49,11 +49,12 @@ def good(tmp_path_factory):
     )
 
 
-QUICK = (checks.start_time, checks.position, checks.phase_centre, checks.clock,
-         checks.gravity, checks.turning, checks.noise)  # fmt: skip
+RECEIVER = (commissioning.start_time, commissioning.position, commissioning.phase_centre,
+            commissioning.clock)  # fmt: skip
+QUICK = (*RECEIVER, commissioning.gravity, commissioning.turning, commissioning.noise)
 
 
-def found(data, which=(checks.shaking,)):
+def found(data, which=(commissioning.shaking,)):
     return {item.name: item for check in which for item in check(data)}
 
 
@@ -98,7 +99,7 @@ WRONG = {
 @pytest.mark.parametrize("what", WRONG)
 def test_wrong_axes_signs_and_units_of_the_imu_are_caught(good, what):
     force, rate, name = WRONG[what]
-    which = (checks.shaking,) if "moving" in name else QUICK
+    which = (commissioning.shaking,) if "moving" in name else QUICK
     assert name in fails(imu(good, force, rate), which)
 
 
@@ -128,6 +129,19 @@ def test_a_late_imu_is_caught(good):
 def test_a_monument_of_another_place_is_caught(good):
     moved = good.station.monument_ecef + np.array([0.0, 0.0, 25.0])
     assert "monument, by mean position" in fails(station(good, monument_ecef=moved))
+
+
+def test_epochs_without_a_position_hide_no_wrong_monument(good):
+    """Satellites were few for a moment: not a number is no agreement."""
+    pvt = list(good.pvt)
+    for k in (50, -1):
+        nothing = {"status": PvtStatus.NONE, "position_ecef": np.full(3, np.nan)}
+        pvt[k] = replace(pvt[k], satellites=(), **nothing)
+    patchy = replace(good, pvt=pvt)
+    assert not fails(patchy, RECEIVER)
+    moved = good.station.monument_ecef + np.array([0.0, 0.0, 25.0])
+    wrong = station(patchy, monument_ecef=moved)
+    assert fails(wrong, RECEIVER) == {"monument, by mean position"}
 
 
 def test_a_phase_centre_off_by_5_cm_is_caught(good):
@@ -192,7 +206,11 @@ def test_the_page_puts_failures_first_and_escapes_what_it_shows(good):
     bad = station(good, name="<b>", imu_to_antenna=np.array([9.0, 9.0, 9.0]))
     text = page(
         "<b>",
-        [*found(bad, QUICK).values(), checks.Check("a", FAIL, "<i>", ""), *checks.signal(bad)],
+        [
+            *found(bad, QUICK).values(),
+            Check("a", FAIL, "<i>", ""),
+            *commissioning.signal(bad),
+        ],
     )
     assert "<b>" not in text.split("<main>")[0].split("<body>")[1]
     body = text.split("<tbody>")[1]

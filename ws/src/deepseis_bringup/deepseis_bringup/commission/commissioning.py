@@ -8,8 +8,17 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
-from deepseis_bringup.commission.checks import FAIL, OPEN, PASS, Check, all_checks
-from deepseis_bringup.commission.data import read_station_data
+from deepseis_bringup.commission.checks import FAIL, OPEN, PASS, Check
+from deepseis_bringup.commission.data import StationData, read_station_data
+from deepseis_bringup.commission.imu_checks import gravity, noise, turning
+from deepseis_bringup.commission.motion_checks import shaking
+from deepseis_bringup.commission.receiver_checks import (
+    clock,
+    phase_centre,
+    position,
+    signal,
+    start_time,
+)
 from deepseis_bringup.report.document import document, page_head
 
 LONGEST_S: Final = 600.0
@@ -54,6 +63,13 @@ def commission(bag: Path, folder: Path, *, longest_s: float = LONGEST_S) -> dict
     text = json.dumps(result, indent=2, ensure_ascii=False) + "\n"
     (folder / "commission.json").write_text(text, encoding="utf-8")
     return result
+
+
+def all_checks(data: StationData) -> list[Check]:
+    """Return all checks of a station, in the order in which a person would mend things."""
+    receiver = (start_time, position, phase_centre, clock, signal)
+    imu = (gravity, turning, noise, shaking)
+    return [found for check in (*receiver, *imu) for found in check(data)]
 
 
 def verdict(checks: Sequence[Check]) -> str:

@@ -21,11 +21,14 @@ from deepseis_core.types import (
     Observations,
     PrecisePosition,
     Pvt,
+    PvtStatus,
     Station,
 )
 from deepseis_ins.mounting import ImuSeries
 
 WINDOW_S = 1.0
+SHORTEST_S = 2.0
+"""Of an IMU's record; a shorter one tells nothing, and is left aside [s]."""
 STILL_RATIO = 2.5
 """Of the quietest fifth of the windows, beyond which a window is not still."""
 MOVES = 0.05
@@ -54,6 +57,11 @@ class StationData:
         """Surveyed attitude, forward-left-up to east-north-up; None: not surveyed."""
         quat = np.asarray(self.station.imu_orientation_xyzw, np.float64)
         return matrix_from_quat(quat) if np.any(quat) else None
+
+    @cached_property
+    def placed(self) -> list[Pvt]:
+        """Epochs of PVT that have a position."""
+        return [p for p in self.pvt if p.status != PvtStatus.NONE]
 
     @property
     def imu_rate_hz(self) -> float:
@@ -139,4 +147,12 @@ def read_station_data(bag: Path, longest_s: float) -> StationData:
     }
     for topic, value in waiting:
         lists[topic].append(value)  # type: ignore[attr-defined]
+    if found.imu and _length_s(found) < SHORTEST_S:
+        found.imu.clear()
     return found
+
+
+def _length_s(data: StationData) -> float:
+    """Return how long the IMU has been heard [s]."""
+    first, last = data.imu[0].sample_index, data.imu[-1].sample_index
+    return (last - first) / data.clock.sample_rate_hz
