@@ -9,6 +9,7 @@ import pytest
 from fusion_bench import EVERYTHING, FusionBench, as_bytes, motion, watermarks
 
 from deepseis_core.errors import InputError
+from deepseis_core.hidden_motion import hidden_motion
 from deepseis_core.imu_grades import grade_named
 from deepseis_core.miss_log import EVER, MissLog, MissScript
 from deepseis_core.types import MotionKind, MotionState, PvtStatus
@@ -201,6 +202,21 @@ def test_a_constraint_that_overlapped_the_motion_is_undone_exactly(run: FusionBe
     assert same[begins < onset + DELAY * RATE].all()
     assert not same[(begins >= onset + 2 * DELAY * RATE) & (begins < noticed)].any()
     assert same[begins >= noticed].all()
+
+
+def test_a_motion_noticed_later_than_can_be_undone_leaves_it_as_unsure_as_that(
+    run: FusionBench,
+) -> None:
+    """Six seconds late, of which three are undone: the ground may have gone for six."""
+    still = motion(MotionKind.STATIC, 0, int(4 * RATE))
+    late = motion(MotionKind.MOVING, int(5.5 * RATE), int(11.5 * RATE))
+    engine = run.engine(FusionConfig(undo_s=3.0), motion=[still, late])
+    run.run(engine, 11.8)
+    assert engine.statistics["doubted"] == 1
+    far, _ = hidden_motion(run.grade.accelerometers.walk, 6.0)
+    sd = np.sqrt(np.diag(engine.delayed.covariances()[1]))
+    assert (sd > far).all()
+    assert (sd < 2.0 * far).all()
 
 
 def test_a_second_without_imu_data_is_said_and_over_within_two_seconds(

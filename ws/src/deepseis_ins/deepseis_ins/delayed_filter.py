@@ -25,7 +25,7 @@ from typing import Any, Final
 import numpy as np
 
 from deepseis_core.geodesy import rotation_ned_ecef
-from deepseis_core.imu_grades import LEAST_HIDDEN, hidden_motion
+from deepseis_core.hidden_motion import LEAST_HIDDEN, doubtful, hidden_motion
 from deepseis_core.types import FloatArray, Pvt
 from deepseis_ins import measurements
 from deepseis_ins.error_state import POS
@@ -51,8 +51,6 @@ from deepseis_ins.oscillator_terms import OscillatorTerms
 from deepseis_ins.strapdown import NavState, Trajectory
 
 SAME_MOMENT_S: Final = 1e-9
-YOUNG: Final = 0.5
-"""Of a rest shorter than twice the doubtful time so much is not believed [-]."""
 FIRST_INTERVAL_S: Final = 0.1
 """Before the first epoch of GNSS, as if there were one before [s]."""
 
@@ -307,13 +305,14 @@ class DelayedFilter:
 
     def _leave(self, rest: Rest, sample_index: int) -> None:
         """End a rest; if that was noticed late, its last seconds may have been of the motion."""
-        rate, timeline = self.sample_rate_hz, self.timeline
-        late = max(0.0, (timeline.noticed(sample_index) - sample_index) / rate)
+        rate = self.sample_rate_hz
+        # From its beginning, which may be longer ago than steps can be undone.
+        late = self.timeline.lateness(sample_index) / rate
         far, fast = hidden_motion(self.filter.grade.accelerometers.walk, late)
         self.rest = None
         if far < LEAST_HIDDEN:
             return
-        back = min(self.config.doubt_s, YOUNG * (sample_index - rest.begun) / rate)
+        back = doubtful(self.config.doubt_s, (sample_index - rest.begun) / rate)
         self.offsets = self.offsets.doubted(rest.known_before(sample_index - round(back * rate)))
         self.filter.widen(position_sd=far, velocity_sd=fast)
         self._counts["doubted"] += 1

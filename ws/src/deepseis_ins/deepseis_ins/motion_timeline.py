@@ -55,11 +55,19 @@ class MotionTimeline:
 
     def state(self, sample_index: int) -> int:
         """Return what holds at a sample; UNKNOWN where nobody has decided."""
-        return self._states[max(bisect_right(self._starts, sample_index) - 1, 0)]
+        return self._states[self._place(sample_index)]
 
     def noticed(self, sample_index: int) -> int:
         """Return through which sample was decided what holds at a sample."""
-        return self._noticed[max(bisect_right(self._starts, sample_index) - 1, 0)]
+        return self._noticed[self._place(sample_index)]
+
+    def lateness(self, sample_index: int) -> int:
+        """Return how long what holds at a sample had held when it was decided [samples]."""
+        place = self._place(sample_index)
+        return max(0, self._noticed[place] - self._starts[place])
+
+    def _place(self, sample_index: int) -> int:
+        return max(bisect_right(self._starts, sample_index) - 1, 0)
 
     def is_still(self, sample_index: int) -> bool:
         """Return whether the station stands still at a sample."""
@@ -69,7 +77,7 @@ class MotionTimeline:
         """Drop what was decided before a sample; what held then stays."""
         kept = [item for item in self._decisions if item.valid_through >= before]
         if len(kept) < len(self._decisions):
-            found = max(bisect_right(self._starts, before) - 1, 0)
+            found = self._place(before)
             self._base = self._starts[found], self._states[found], self._noticed[found]
             self._decisions = kept
             del self._starts[:found], self._states[:found], self._noticed[:found]

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from deepseis_core.config import check
-from deepseis_core.imu_grades import LEAST_HIDDEN
+from deepseis_core.hidden_motion import LEAST_HIDDEN
 from deepseis_core.types import FloatArray, IntArray
 from deepseis_pvt import phase_kernels as kernels
 from deepseis_pvt.creep_level import CreepLevel

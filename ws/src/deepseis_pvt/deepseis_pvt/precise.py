@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from deepseis_core.config import setting
 from deepseis_core.constants import L1_WAVELENGTH, NS_PER_S, NS_PER_WEEK
 from deepseis_core.ephemeris import PACKED_COLUMNS, states_from_pseudoranges
-from deepseis_core.imu_grades import hidden_motion
+from deepseis_core.hidden_motion import hidden_motion
 from deepseis_core.miss_log import EVER
 from deepseis_core.types import (
     FloatArray,

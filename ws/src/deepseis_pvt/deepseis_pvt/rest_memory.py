@@ -15,14 +15,13 @@ from typing import Final, Generic, TypeVar
 import numpy as np
 
 from deepseis_core.config import setting
+from deepseis_core.hidden_motion import doubtful
 from deepseis_core.types import FloatArray, IntArray
 
 Known = TypeVar("Known")
 
 STEP_S: Final = 1.0
 """Between what is kept [s]."""
-YOUNG: Final = 0.5
-"""Of a rest shorter than twice the doubtful time so much is not believed [-]."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +78,7 @@ class RestMemory(Generic[Known]):
 
         Of a rest shorter than twice ``doubt_s`` half is believed. None: there is nothing to doubt.
         """
-        back = min(self.doubt_s, YOUNG * (time - self._begun))
+        back = doubtful(self.doubt_s, time - self._begun)
         found = next((item for at, item in reversed(self._kept) if at <= time - back), None)
         last = self._kept[-1][1] if self._kept else None
         self.clear()
