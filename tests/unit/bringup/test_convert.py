@@ -1,6 +1,7 @@
 """A bag written by hand, converted, and read back by ObsPy, georinex, RTKLIB and csv."""
 
 import csv
+import errno
 import struct
 from itertools import groupby
 
@@ -334,6 +335,20 @@ def test_a_bag_becomes_a_file_of_either(bag, tmp_path):
     places = [pynmeagps.NMEAReader.parse(line) for line in text.splitlines()]
     assert len(places) == 600
     assert {(p.msgID, p.quality) for p in places} == {("GGA", 1)}
+
+
+def test_a_disk_that_takes_no_more_is_said_in_a_line_and_leaves_nothing(
+    bag, tmp_path, monkeypatch
+):
+    def full(*_values):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("deepseis_bringup.export.convert_rtcm.RtcmStream.take_observations", full)
+    folder = tmp_path / "out"
+    done = CliRunner().invoke(app, ["convert", str(bag), "--to", "rtcm", "-o", str(folder)])
+    assert done.exit_code == 1
+    assert done.stderr.splitlines() == [f"deepseis: {folder}: No space left on device"]
+    assert not folder.exists()
 
 
 def table(path):

@@ -20,6 +20,7 @@ from deepseis_bringup.bags.mcap_file import McapFile
 from deepseis_bringup.bags.mcap_recording import BagWriter, read_messages
 from deepseis_bringup.bags.recovery import recover_bag
 from deepseis_bringup.bags.ros_definitions import Definitions, TopicQos
+from deepseis_bringup.bags.whole_writes import WholeWrites
 from deepseis_core.errors import InputError
 from deepseis_core.interface import INTERFACE_VERSION
 from deepseis_core.mcap_scan import McapScan
@@ -173,6 +174,29 @@ def test_a_folder_with_a_bag_is_not_overwritten(bag):
     with pytest.raises(InputError, match="holds a bag already"):
         BagWriter(bag, definitions=definitions())
     assert (bag / "bag_0.mcap").read_bytes() == before
+
+
+class Fickle(WholeWrites):
+    """Its guard is gone when it is looked at again: another thread closes the file."""
+
+    looks = 0
+
+    @property
+    def guard(self):
+        self.looks += 1
+        return (lambda: None) if self.looks == 1 else None
+
+    @guard.setter
+    def guard(self, _guard):
+        pass
+
+
+def test_a_guard_may_be_taken_away_while_a_piece_is_written(tmp_path):
+    file = Fickle(tmp_path / "a")
+    file.put(b"piece")
+    file.commit()
+    file.close()
+    assert (tmp_path / "a").read_bytes() == b"piece"
 
 
 def test_a_full_disk_is_an_error_that_names_the_file(tmp_path):

@@ -18,13 +18,16 @@ def new_run_folder(chosen: Path | None) -> Path:
     Raises
     ------
     InputError
-        It exists and is not empty.
+        It exists and is not empty, or cannot be looked at.
     """
     folder = chosen or Path("runs") / datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    if folder.exists() and not folder.is_dir():
-        raise InputError(folder, "is a file", "name a new folder with -o")
-    if folder.exists() and any(folder.iterdir()):
-        raise InputError(folder, "exists and is not empty", "name a new folder with -o")
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise InputError(folder, "is a file", "name a new folder with -o")
+        if folder.exists() and any(folder.iterdir()):
+            raise InputError(folder, "exists and is not empty", "name a new folder with -o")
+    except OSError as error:
+        raise InputError(folder, f"cannot be used: {error.strerror}") from None
     return folder
 
 
@@ -53,6 +56,8 @@ def half_written_is_removed(
     try:
         yield
     except BaseException as error:
+        if isinstance(error, OSError) and not error.filename:
+            error.filename = str(folder)  # a write that fails does not say where
         if not keep(folder, error):
             _remove(folder, itself=not existed)
         raise

@@ -34,7 +34,7 @@ class StationBase:
     about_utc_ns : int
         Where our signal is; not needed here.
     counts : dict of str to int
-        Epochs, and those that came out of order.
+        Epochs, those that came out of order, and events dropped because nobody took them.
     """
 
     def __init__(self, address: Address, clock: SampleClock) -> None:

@@ -58,11 +58,11 @@ class WholeWrites:
 
     def commit(self) -> None:
         """Write the piece; where that raises ``OSError`` the file is as it was, the piece lost."""
-        data = memoryview(b"".join(self._piece))
+        data, guard = memoryview(b"".join(self._piece)), self.guard
         self._piece.clear()
         try:
-            if self.guard is not None:
-                self.guard()
+            if guard is not None:  # another thread may take it away meanwhile
+                guard()
             while len(data):
                 data = data[self._file.write(data) :]
         except OSError:

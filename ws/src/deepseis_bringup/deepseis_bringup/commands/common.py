@@ -31,7 +31,7 @@ def add_command(app: typer.Typer, command: Callable[..., None]) -> None:
 
 @contextmanager
 def one_line_errors() -> Iterator[None]:
-    """Turn bad input into one line on stderr and exit status 2."""
+    """Say in one line on stderr what is wrong: exit status 2 for bad input, 1 for the system."""
     from deepseis_core.errors import InputError
 
     try:
@@ -39,6 +39,12 @@ def one_line_errors() -> Iterator[None]:
     except InputError as error:
         typer.echo(f"deepseis: {error}", err=True)
         raise typer.Exit(2) from None
+    except BrokenPipeError:  # nobody reads on; click ends quietly
+        raise
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        typer.echo(f"deepseis: {where}{error.strerror or error}", err=True)
+        raise typer.Exit(1) from None
     except KeyboardInterrupt:
         typer.echo("deepseis: interrupted", err=True)
         raise typer.Exit(130) from None

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -16,7 +16,6 @@ from deepseis_bringup.run_folder import half_written_is_removed, never
 from deepseis_bringup.runs import progress_bar
 from deepseis_bringup.simulation.page import page
 from deepseis_bringup.simulation.pictures import Pictures
-from deepseis_core.errors import InputError
 from deepseis_core.rinex_nav import write_rinex_nav
 from deepseis_core.types import Truth
 from deepseis_frontend.if_descriptor import IfDescriptor, write_descriptor
@@ -25,16 +24,6 @@ from deepseis_sim.bench import Bench
 from deepseis_sim.bench_streams import Item
 from deepseis_sim.scenario import Scenario, summary_of
 from deepseis_sim.truth_file import TruthFile
-
-
-@contextmanager
-def full_disk_is_bad_input(folder: Path) -> Iterator[None]:
-    """Say of a failing file in one line what is wrong."""
-    try:
-        yield
-    except OSError as error:
-        reason = f"cannot be written: {error.strerror or error}"
-        raise InputError(error.filename or folder, reason) from None
 
 
 def simulate(
@@ -65,9 +54,11 @@ def simulate(
     Raises
     ------
     InputError
-        A setting makes no sense, or a file cannot be read or written.
+        A setting makes no sense, or a file cannot be read.
+    OSError
+        A file cannot be written.
     """
-    with half_written_is_removed(folder, keep=never), full_disk_is_bad_input(folder):
+    with half_written_is_removed(folder, keep=never):
         bench = Bench(scenario)
         with ExitStack() as stack:
             show: Callable[[float], object] = lambda _done: None  # noqa: E731
