@@ -28,6 +28,33 @@ def test_a_reader_that_joins_does_not_wait_for_what_it_missed():
     assert counted.valid_through == 300
 
 
+def test_messages_that_were_lost_are_not_waited_for_for_ever():
+    """A reader stood still until its queue ran over: then it is as far as the others again."""
+    counted = CountedInput()
+    for k in range(100):
+        if not 20 <= k < 60:
+            counted.received(10 * k)
+        counted.announced(k + 1, 10 * k)
+        assert counted.counting == (k < 60)
+    assert counted.valid_through == 990
+
+
+def test_a_watermark_that_overtakes_its_messages_waits_for_them_however_late():
+    counted = CountedInput()
+    for k in range(50):
+        counted.announced(k + 1, 10 * k)
+    for k in range(50):
+        assert counted.valid_through == (10 * (k - 1) if k else -1)
+        counted.received(10 * k)
+    assert counted.counting
+    # Messages ahead of their watermarks say nothing of others.
+    for k in range(50, 60):
+        counted.received(10 * k)
+    counted.announced(60, 590)
+    assert counted.counting
+    assert counted.valid_through == 590
+
+
 def test_topics_hold_together_and_of_others_nothing_is_kept():
     """Counts of a topic that is not read would wait for its messages for ever."""
     topics = CountedTopics(["positions", "precise"])

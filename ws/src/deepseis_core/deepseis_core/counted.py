@@ -3,7 +3,8 @@
 A watermark may overtake messages on other topics. Where these do not say themselves through which
 sample they are complete, the watermark counts them (`event_count`), and the reader waits until it
 has received as many. In real time one of the two may die and be started again: then counts begin
-anew at one end only and mean nothing, and watermarks hold as they come.
+anew at one end only and mean nothing, and watermarks hold as they come. So they do from where a
+message was lost: a reader that stood still until its queue ran over would lag behind for ever.
 """
 
 from __future__ import annotations
@@ -32,10 +33,16 @@ class CountedInput:
         self._received = self._newest = 0
         self._announced: deque[tuple[int, int]] = deque()
 
-    def received(self) -> None:
-        """Count a message."""
+    def received(self, sample: int = -1) -> None:
+        """Count a message.
+
+        ``sample`` is the one that it is for, where one publisher's messages come in order: they
+        do, so behind a watermark that waits for others these are lost.
+        """
         self._received += 1
         self._settle()
+        if self._announced and self._announced[0][1] < sample:
+            self.trust()
 
     def announced(self, count: int, valid_through: int) -> None:
         """Take a watermark, and how many messages it stands for."""
@@ -83,9 +90,9 @@ class CountedTopics:
         """Last sample through which everything has arrived on all topics."""
         return min(item.valid_through for item in self._inputs.values())
 
-    def received(self, topic: str) -> None:
-        """Count a message."""
-        self._inputs[topic].received()
+    def received(self, topic: str, sample: int = -1) -> None:
+        """Count a message, as `CountedInput.received`."""
+        self._inputs[topic].received(sample)
 
     def announced(self, counts: Mapping[str, int], valid_through: int) -> None:
         """Take a watermark, and for how many messages of each topic it stands."""

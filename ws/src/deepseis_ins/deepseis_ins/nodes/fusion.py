@@ -183,7 +183,7 @@ class FusionNode(Node):
         sample = decode_imu(data, self.clock)[0]
         self.arrivals.note(sample.sample_index, time.monotonic())
         self.engine.push_imu(sample)
-        self.inputs["imu_source"].received()
+        self.inputs["imu_source"].received(sample.sample_index - 1)
         self.work()
 
     def on_motion(self, state: MotionState, _utc_ns: int) -> None:
@@ -195,26 +195,26 @@ class FusionNode(Node):
     def on_pvt(self, pvt: Pvt, _utc_ns: int) -> None:
         """Take a position."""
         self.engine.push_pvt(pvt)
-        self.gnss.received("positions")
+        self.gnss.received("positions", pvt.sample_index)
         self.work()
 
     def on_precise(self, position: PrecisePosition, _utc_ns: int) -> None:
         """Take a precise position."""
         self.engine.push_precise(position)
-        self.gnss.received("precise")
+        self.gnss.received("precise", position.sample_index)
         self.work()
 
     def on_rtk(self, position: PrecisePosition, _utc_ns: int) -> None:
         """Take a position against a base."""
         self.engine.push_rtk(position)
-        self.gnss.received("rtk")
+        self.gnss.received("rtk", position.sample_index)
         self.work()
 
     def on_observations(self, observations: Observations, _utc_ns: int) -> None:
         """Take an epoch of ranges."""
         assert isinstance(self.engine, TightFusionEngine)
         self.engine.push_observations(observations)
-        self.gnss.received("ranges")
+        self.gnss.received("ranges", observations.sample_index)
         self.work()
 
     def on_ldv(self, value: LdvVelocity, _utc_ns: int) -> None:

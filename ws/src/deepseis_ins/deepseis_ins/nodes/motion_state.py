@@ -64,7 +64,7 @@ class MotionStateNode(Node):
         if self.flow.entry == sample.sample_index:
             self.engine.join(sample.sample_index)
         self.engine.push(sample)
-        self.imu.received()
+        self.imu.received(sample.sample_index - 1)
         self.work()
 
     def on_source(self, msg: Watermark) -> None:
