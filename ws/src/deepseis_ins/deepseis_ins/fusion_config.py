@@ -128,14 +128,20 @@ class FusionConfig:
     missing_mean_s: float = setting(
         2.0, "missing IMU data are taken as the mean over this before [s]", low=0.05, high=60.0
     )
+    bridge_s: float = setting(
+        0.06, "missing IMU data between others are bridged so far [s]", low=0.0, high=0.5
+    )
+    bridge_memory_s: float = setting(
+        1.0, "how far off that may be is tried on so much before [s]", low=0.2, high=10.0
+    )
     extrapolate_s: float = setting(
         0.025, "late IMU data may be extrapolated so far [s]", low=0.0, high=0.5
     )
     missing_walk: float = setting(
         3.0, "velocity random walk over missing data [m/s/sqrt(s)]", low=1e-3, high=100.0
     )
-    bridged_walk: float = setting(
-        0.1, "the same over a few missing between others [m/s/sqrt(s)]", low=0.0, high=100.0
+    held_walk: float = setting(
+        0.1, "the least of it while late data are extrapolated [m/s/sqrt(s)]", low=0.0, high=100.0
     )
     missing_angle_walk_deg: float = setting(
         0.5, "angular random walk over missing data [deg/sqrt(s)]", low=0.0, high=90.0

@@ -341,10 +341,11 @@ class FusionEngine(FusionInputs):
         told = self.known("pvt", begin - self.delay) + self.delay
         chosen = self.book.choose(begin, predictor.gps_time(begin), self.site.monument_ecef, told)
         first, last = (self.history.number_at(sample) + 1 for sample in (begin, end))
-        made_up = self.history.count(first, last, RowFlag.MISSING)
-        extrapolated = made_up if "imu" in self.missed else 0
+        lost = self.history.count(first, last, RowFlag.MISSING) > 0
+        at_the_end = RowFlag.MISSING | RowFlag.HELD
+        extrapolated = self.history.count(first, last, at_the_end) if "imu" in self.missed else 0
         self._counts["extrapolated"] += extrapolated
-        status = self._status(present, chosen, made_up, extrapolated)
+        status = self._status(present, chosen, lost=lost)
         solution = self.writer.write((begin, end), self.timebase, present, updates)
         if status is FusionStatus.RUNNING:
             aiding = self._aiding(grid, present, chosen, predictor)
@@ -358,11 +359,8 @@ class FusionEngine(FusionInputs):
             )
         return FusionOutput(solution, aiding, status, late, extrapolated, motion)
 
-    def _status(
-        self, present: Present, chosen: Chosen, made_up: int, extrapolated: int
-    ) -> FusionStatus:
-        short = self.config.extrapolate_s / self.history.dt
-        lost = self.history.missing_at_end() > short if extrapolated else made_up > 1
+    def _status(self, present: Present, chosen: Chosen, *, lost: bool) -> FusionStatus:
+        """Return what the fusion does; ``lost``: more of the IMU is missing than is bridged."""
         self._recovering |= lost
         if lost:
             self._lost_at = self.next_sample

@@ -3,10 +3,12 @@
 Samples come in any order and are put in rows, one for every interval of the IMU; rows of samples
 that are missing are made up and flagged:
 
-- a few missing ones between two that are there: a straight line between these;
-- a few that are late at the end: the last one goes on;
+- up to ``bridge_s`` between two that are there: a straight line between these;
+- up to ``extrapolate_s`` at the end: the last one goes on;
 - more: the mean over some seconds before, in which shaking averages out and gravity, the Earth's
   rate and the biases remain.
+
+How far off the first two may be is tried on the rows before (`imu_bridge`).
 
 What a row holds depends on the samples alone, not on when they came: a late one that arrives
 after all puts everything where it would have been.
@@ -28,6 +30,7 @@ from deepseis_core.imu_grades import STANDARD_GRAVITY, ImuGrade
 from deepseis_core.rotation import flu_from_frd
 from deepseis_core.types import FloatArray, ImuSample, IntArray
 from deepseis_ins.fusion_config import FusionConfig
+from deepseis_ins.imu_bridge import held_off2, line, line_off2
 
 _AT_RANGE = 0.999
 """Of the range: a rate so large is taken as clipped."""
@@ -50,6 +53,8 @@ class RowFlag(IntFlag):
     CLIPPED = 2
     BRIDGED = 4
     """Made up between two samples that are there."""
+    HELD = 8
+    """Made up at the end: the last sample goes on."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +76,9 @@ class Unknown:
 
 
 NOTHING: Final = Unknown()
-_MADE_UP = int(RowFlag.MISSING | RowFlag.BRIDGED)
+_MADE_UP = int(RowFlag.MISSING | RowFlag.BRIDGED | RowFlag.HELD)
+_NOT_WHOLE = RowFlag.MISSING | RowFlag.HELD | RowFlag.CLIPPED
+_ANGLES, _VELOCITIES = slice(0, 3), slice(3, 6)
 
 
 class ImuHistory:
@@ -99,22 +106,25 @@ class ImuHistory:
             raise InputError("IMU rate", f"{imu_rate_hz} Hz", f"above 0, below {sample_rate_hz}")
         self.dt = 1.0 / imu_rate_hz
         self.step = sample_rate_hz / imu_rate_hz
-        self._short = round(config.extrapolate_s * imu_rate_hz)
+        self._held_rows = round(config.extrapolate_s * imu_rate_hz)
+        self._bridged_rows = round(config.bridge_s * imu_rate_hz)
         self._mean_rows = max(1, round(config.missing_mean_s * imu_rate_hz))
+        self._tried_rows = round(config.bridge_memory_s * imu_rate_hz)
         self._to_increments = np.hstack([flu_from_frd(np.full(3, self.dt))] * 2)
         ranges = np.repeat([grade.gyros.range, grade.accelerometers.range], 3)
         self._limits = _AT_RANGE * self.dt * ranges
         self._beyond_gravity = 1.15 * STANDARD_GRAVITY * self.dt
         noise = grade.accelerometers.walk * self.dt**0.5
         self._has_noise = noise > 3.0 * grade.accelerometers.resolution
-        walks = np.array([config.missing_walk, config.clipped_walk, config.bridged_walk])
-        angle_walk = np.radians(config.missing_angle_walk_deg)
-        self._walk2: list[float] = (walks**2).tolist()
-        self._turn2 = float(angle_walk**2), float((angle_walk * walks[2] / walks[0]) ** 2)
+        walks = config.missing_walk, np.radians(config.missing_angle_walk_deg)
+        self._missing2: FloatArray = self.dt * np.square(walks)
+        self._held2: FloatArray = self._missing2 * (config.held_walk / config.missing_walk) ** 2
+        self._clipped2 = self.dt * config.clipped_walk**2
         self._pending: list[ImuSample] = []
         self._index: IntArray = np.zeros(_ROWS, np.int64)
         self._delta: FloatArray = np.zeros((_ROWS, 6))
         self._flags: NDArray[np.uint8] = np.zeros(_ROWS, np.uint8)
+        self._off2: FloatArray = np.zeros((_ROWS, 2))  # variances of velocity and angle
         self.first, self.end = 0, 0
         self._anchor = -1  # last row of a sample that is there
         self.counts = dict.fromkeys(("samples", "missing", "late", "dropped", "clipped"), 0)
@@ -142,7 +152,7 @@ class ImuHistory:
         if self._anchor < 0:
             return
         start = self.sample_index(self._anchor)
-        self._bridge(int((through - start) / self.step), None)
+        self._make_up(self._anchor, int((through - start) / self.step), None)
 
     def sample_index(self, number: int) -> int:
         """Return the sample index at the end of a row."""
@@ -171,10 +181,6 @@ class ImuHistory:
         rows = self._flags[max(begin - self.first, 0) : max(end - self.first, 0)]
         return int(np.count_nonzero(rows & int(flag)))
 
-    def missing_at_end(self) -> int:
-        """Return how many rows after the last sample are made up."""
-        return max(self.end - 1 - self._anchor, 0)
-
     def restart(self) -> None:
         """Forget all rows; the next sample is the first again."""
         self.first, self.end, self._anchor = 0, 0, -1
@@ -182,36 +188,30 @@ class ImuHistory:
     def is_whole(self, begin: int, end: int) -> bool:
         """Return whether rows are there, measured or at least bridged, and not clipped."""
         held = self.first <= begin and end <= self.end
-        return held and not self.count(begin, end, RowFlag.MISSING | RowFlag.CLIPPED)
+        return held and not self.count(begin, end, _NOT_WHOLE)
 
     def unknown(self, begin: int, end: int) -> Unknown:
         """Return what faulty rows leave unknown at the end of the last of them."""
         flags = self._flags[max(begin - self.first, 0) : max(end - self.first, 0)]
         if not flags.any():
             return NOTHING
-        walk2, turn2, late = 0.0, 0.0, self.dt * (len(flags) - np.arange(len(flags)) - 0.5)
-        rates = np.zeros(len(flags))
-        kinds = RowFlag.MISSING, RowFlag.CLIPPED, RowFlag.BRIDGED
-        turns = self._turn2[0], 0.0, self._turn2[1]
-        for flag, of_velocity, of_turn in zip(kinds, self._walk2, turns, strict=True):
-            there = (flags & int(flag)) != 0
-            rates += of_velocity * there
-            turn2 += of_turn * self.dt * int(np.count_nonzero(there))
-        rates *= self.dt
-        walk2 = float(rates.sum())
+        late = self.dt * (len(flags) - np.arange(len(flags)) - 0.5)
+        off2 = self._off2[max(begin - self.first, 0) : max(end - self.first, 0)]
+        velocity = off2[:, 0] + self._clipped2 * ((flags & int(RowFlag.CLIPPED)) != 0)
         # Of a row itself: a walk of white noise has moved by dt^2 / 3 of its velocity's variance.
-        moved2 = float((rates * (late**2 + self.dt**2 / 12.0)).sum())
-        return Unknown(walk2, turn2, moved2, float((rates * late).sum()))
+        moved2 = float((velocity * (late**2 + self.dt**2 / 12.0)).sum())
+        moved = float((velocity * late).sum())
+        return Unknown(float(velocity.sum()), float(off2[:, 1].sum()), moved2, moved)
 
     def forget(self, before: int) -> None:
         """Drop rows before a number that nobody will ask for again."""
         # What missing data are made of must stay, and moving the rest must pay.
-        before = min(before, self._anchor - self._mean_rows)
+        before = min(before, self._anchor - max(self._mean_rows, self._tried_rows))
         gone = before - self.first
         if gone < _ROWS // 2:
             return
         kept = self.end - before
-        for array in (self._index, self._delta, self._flags):
+        for array in (self._index, self._delta, self._flags, self._off2):
             array[:kept] = array[gone : gone + kept]
         self.first = before
 
@@ -232,32 +232,41 @@ class ImuHistory:
         if ahead <= 0:
             return self._place_late(number, sample, delta)
         known = self.end
-        self._bridge(ahead - 1, delta)
+        changed = self._make_up(self._anchor, ahead - 1, delta)
         self._write(number, sample.sample_index, delta)
-        return self._first_changed(known, number)
-
-    def _first_changed(self, known: int, number: int) -> int | None:
-        """Return the first row made up before a sample that has just come, if any was."""
         if number >= known:
-            return None
+            return changed
         self.counts["late"] += 1
-        while number - 1 >= self.first and self._made_up(number - 1):
-            number -= 1
-        return number
-
-    def _made_up(self, number: int) -> bool:
-        return bool(self._flags[number - self.first] & _MADE_UP)
+        self.counts["missing"] -= known - number - 1  # `fill` makes them up from this one
+        self.end = number + 1
+        return number if changed is None else changed
 
     def _place_late(self, number: int, sample: ImuSample, delta: FloatArray) -> int | None:
-        row = number - self.first
-        if row < 0 or not self._made_up(number):
+        """Put a sample between others, and make up anew what was made up without it."""
+        if number < self.first or not self._made_up(number):
             self.counts["dropped"] += 1
             return None
         self.counts["late"] += 1
         anchor = self._anchor
         self._write(number, sample.sample_index, delta)
-        self._anchor = anchor
-        return number
+        self._anchor, begin = anchor, number
+        while begin > self.first and self._made_up(begin - 1):
+            begin -= 1
+        self._make_up_anew(begin)
+        return begin
+
+    def _make_up_anew(self, begin: int) -> None:
+        """Make up all rows again from one on: what they are made of has changed."""
+        flags = self._flags[begin - self.first : self.end - self.first]
+        made = (flags & _MADE_UP) != 0
+        edges = begin + np.flatnonzero(np.diff(made, prepend=False, append=False))
+        for first, end in edges.reshape(-1, 2).tolist():
+            if first > self.first:
+                following = self.rows(end, end + 1)[0] if end < self.end else None
+                self._make_up(first - 1, end - first, following, again=True)
+
+    def _made_up(self, number: int) -> bool:
+        return bool(self._flags[number - self.first] & _MADE_UP)
 
     def _write(self, number: int, sample_index: int, delta: FloatArray) -> None:
         clipped = bool((np.abs(delta) >= self._limits).any())
@@ -283,38 +292,78 @@ class ImuHistory:
         return bool((high & (before == delta[3:]).all(axis=0)).any())
 
     def _set(self, number: int, sample_index: int, delta: FloatArray, flags: int) -> None:
-        row = number - self.first
-        if row >= len(self._index):
-            room = 2 * len(self._index)
-            self._index = np.resize(self._index, room)
-            self._delta = np.resize(self._delta, (room, 6))
-            self._flags = np.resize(self._flags, room)
+        row = self._room(number + 1) - 1
         self._index[row], self._delta[row], self._flags[row] = sample_index, delta, flags
-        self.end = max(self.end, number + 1)
+        self._off2[row] = 0.0
 
-    def _bridge(self, count: int, following: FloatArray | None) -> None:
-        """Make up ``count`` rows after the last sample, and before ``following`` if there is."""
-        if count <= 0:
-            return
-        start = self.sample_index(self._anchor)
-        last = self._delta[self._anchor - self.first].copy()
-        known, made = self.end - self._anchor - 1, 0
-        if count > self._short:
-            rows = np.broadcast_to(self._mean(), (count, 6))
-            made = known if known > self._short else 0  # those are such already
-            flags = RowFlag.MISSING
+    def _room(self, end: int) -> int:
+        """Let rows go on up to ``end`` if they do not yet; return its place in the arrays."""
+        self.end, row = max(self.end, end), end - self.first
+        while row > len(self._index):
+            room = 2 * len(self._index)
+            self._index, self._flags = np.resize(self._index, room), np.resize(self._flags, room)
+            self._delta = np.resize(self._delta, (room, 6))
+            self._off2 = np.resize(self._off2, (room, 2))
+        return row
+
+    def _make_up(
+        self, before: int, count: int, following: FloatArray | None, *, again: bool = False
+    ) -> int | None:
+        """Make up ``count`` rows after row ``before``, up to ``following`` if it is there.
+
+        Returns
+        -------
+        int or None
+            The first that is no longer what it was.
+        """
+        known = 0 if again else min(self.end - before - 1, count)
+        if count <= 0 or (count <= known and following is None):
+            return None
+        self.counts["missing"] += 0 if again else count - known
+        last = self._delta[before - self.first].copy()
+        if count > (self._held_rows if following is None else self._bridged_rows):
+            # Rows that were more than may be held are means already.
+            first = known if known > self._held_rows else 0
+            rows, flag, off2 = self._mean(before), RowFlag.MISSING, self._missing2
         elif following is None:
-            rows, flags = np.broadcast_to(last, (count, 6)), RowFlag.MISSING
+            first, rows, flag = 0, last, RowFlag.HELD
+            off2 = self._off2_of(before, count, None) + self._held2
         else:
-            share = np.arange(1, count + 1)[:, None] / (count + 1.0)
-            rows, flags = last + share * (following - last), RowFlag.BRIDGED
-        self.counts["missing"] += max(0, count - known)
-        for k in range(made, count):
-            index = start + int((k + 1) * self.step)
-            self._set(self._anchor + k + 1, index, rows[k], int(flags))
+            first, rows, flag = 0, line(last, following, count), RowFlag.BRIDGED
+            off2 = self._off2_of(before, count, following - last)
+        self._fill(before, (first, count), rows, int(flag), off2)
+        return before + 1 if known > first else None
 
-    def _mean(self) -> FloatArray:
-        rows = slice(max(0, self._anchor + 1 - self._mean_rows - self.first), None)
-        held = slice(rows.start, self._anchor + 1 - self.first)
-        there = (self._flags[held] & _MADE_UP) == 0
-        return np.asarray(self._delta[held][there].mean(axis=0))
+    def _fill(
+        self, before: int, span: tuple[int, int], rows: FloatArray, flags: int, off2: FloatArray
+    ) -> None:
+        """Fill some of the rows after row ``before``."""
+        after = before + 1 - self.first
+        self._room(before + 1 + span[1])
+        made = slice(after + span[0], after + span[1])
+        later = self.step * np.arange(span[0] + 1, span[1] + 1)
+        self._index[made] = self.sample_index(before) + later.astype(np.int64)
+        self._delta[made] = rows
+        self._flags[made], self._off2[made] = flags, off2
+
+    def _off2_of(self, before: int, count: int, jump: FloatArray | None) -> FloatArray:
+        """Return variances, velocity's and angle's, that each of some made up rows adds."""
+        rows, measured = self._recent(before, self._tried_rows, int(RowFlag.MISSING))
+        if jump is None:
+            off2 = held_off2(rows, measured, count)
+        else:
+            off2 = line_off2(rows, measured, count, jump)
+        if off2 is None:
+            return self._missing2
+        return np.array([off2[_VELOCITIES].max(), off2[_ANGLES].max()]) / count
+
+    def _mean(self, before: int) -> FloatArray:
+        rows, measured = self._recent(before, self._mean_rows, _MADE_UP)
+        return np.asarray(rows[measured].mean(axis=0))
+
+    def _recent(
+        self, through: int, count: int, without: int
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return the last ``count`` rows up to one, and which have none of some flags."""
+        held = slice(max(0, through + 1 - count - self.first), through + 1 - self.first)
+        return self._delta[held], (self._flags[held] & without) == 0
