@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,11 @@ KEPT_S = 1.2
 STEPPED = "stepped"
 REASONS = ("invalid", "uncertain", STEPPED, "late", "diverged")
 """Why aiding of a channel ends, or goes on without the step that it made."""
+ISOLATED = 5.0
+"""A step is kept out that is so many times as large as what is left of those before: corrections
+with every message undo a drift, and without them the loop would see it."""
+STEPS_S = 0.04
+"""Memory of steps [s]: those of PVT, 0.1 s apart, are single ones, of 50 Hz they are not."""
 SWING_HZ_S2 = 2000.0
 """Beyond a hole steps are told from a motion that swings so [Hz/s^2]: 3 g at 2 Hz."""
 
@@ -53,7 +59,7 @@ class AidingSpan:
         self.record["clock_hz"] = np.nan
         self.knots: FloatArray = np.zeros(0)
         self.rates: FloatArray = np.zeros(0)
-        self.offset_hz = 0.0
+        self.offset_hz = self._steps_hz = 0.0
 
     @property
     def valid(self) -> bool:
@@ -79,8 +85,8 @@ class AidingSpan:
     def take(self, aiding: Aiding, satellite: str, limits: AidLimits) -> str:
         """Append the satellite's knots of a message.
 
-        A step of the prediction is a correction of what it had been wrong by, and the loop has
-        held that already: the step is kept out, whatever form the aiding has.
+        A single step of the prediction corrects what it had been wrong by, and the loop has held
+        that already: the step is kept out, whatever form the aiding has.
 
         Parameters
         ----------
@@ -100,16 +106,24 @@ class AidingSpan:
         row = aiding.satellites.index(satellite)
         knots, stepped = aiding.carrier_doppler_hz[row], False
         if not was_valid:
-            self.offset_hz = 0.0
+            self.offset_hz = self._steps_hz = 0.0
         else:
-            step = knots[0] + self.offset_hz - self._predicted(aiding.knot_sample_index)
-            stepped = abs(step) > limits.step_hz + self._swing_hz(aiding.knot_sample_index)
+            step = float(knots[0]) + self.offset_hz - self._predicted(aiding.knot_sample_index)
+            stepped = self._is_single(step, aiding, limits.step_hz)
             self.offset_hz -= step if stepped else 0.0
         self._append(aiding, knots + self.offset_hz, aiding.carrier_doppler_rate[row])
         self.record["through"] = aiding.valid_through
         self.record["clock_hz"] = aiding.clock_drift_hz
         self.valid = True
         return STEPPED if stepped else ""
+
+    def _is_single(self, step: float, aiding: Aiding, limit_hz: float) -> bool:
+        """Tell whether a step is one to be kept out, and remember it."""
+        single = abs(step) > limit_hz + self._swing_hz(aiding.knot_sample_index)
+        single = single and abs(step) > ISOLATED * self._steps_hz
+        seconds = (aiding.valid_through - self.through) / self.sample_rate_hz
+        self._steps_hz = max(abs(step), self._steps_hz * math.exp(-seconds / STEPS_S))
+        return single
 
     def _swing_hz(self, sample: int) -> float:
         """Return by what a straight Doppler may be off at a knot beyond the last [Hz]."""
