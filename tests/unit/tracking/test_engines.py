@@ -231,6 +231,18 @@ def test_a_gap_during_the_search_starts_it_afresh(searcher):
     assert searcher._acquirer.calls == [(4 * COUNT, 3 * COUNT, SATELLITES)]
 
 
+def test_one_that_joins_within_a_slot_searches_in_the_next_and_hears_requests_then(searcher):
+    """Else all have had their turn without a search, and a satellite that is lost waits for it."""
+    per_slot = SLOT // COUNT
+    run(searcher, range(per_slot - 1, 2 * per_slot + 1))
+    assert searcher._acquirer.calls[0][0] == SLOT
+    assert searcher._acquirer.calls[0][2] == SATELLITES
+    searcher.push_request("G07", 2 * SLOT + COUNT, "trackers")
+    run(searcher, range(2 * per_slot + 1, 4 * per_slot))
+    assert searcher._acquirer.calls[-1][0] == 3 * SLOT
+    assert searcher._acquirer.calls[-1][2] == ("G07",)
+
+
 def test_a_search_waits_no_longer_than_it_must_for_a_tracker_that_has_died(searcher):
     searcher.expect_trackers(["trackers_g05", "trackers_g07"])
     run(searcher, range(25))

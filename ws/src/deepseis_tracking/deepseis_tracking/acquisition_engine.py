@@ -192,7 +192,10 @@ class AcquisitionEngine:
     def _finish(self, slot_samples: int) -> list[AcquisitionResult]:
         """Search in what was collected; hand-over at the promised slot."""
         targets, self._targets = self._targets, []
-        if not targets or self._acquirer is None or not self._enough():
+        if not targets or self._acquirer is None:
+            return []
+        if not self._enough():  # samples are missing, or it joined within the slot
+            self.due_from |= dict.fromkeys(targets, 0)
             return []
         i = np.concatenate([pair[0] for pair in self._collected])
         q = np.concatenate([pair[1] for pair in self._collected])
