@@ -18,6 +18,7 @@ from deepseis_core.config import setting
 from deepseis_core.constants import L1_WAVELENGTH, NS_PER_S, NS_PER_WEEK
 from deepseis_core.ephemeris import PACKED_COLUMNS, states_from_pseudoranges
 from deepseis_core.hidden_motion import hidden_motion
+from deepseis_core.loop_noise import without_aiding
 from deepseis_core.miss_log import EVER
 from deepseis_core.types import (
     FloatArray,
@@ -28,7 +29,6 @@ from deepseis_core.types import (
     Observations,
     PrecisePosition,
     PreciseStatus,
-    TrackingFlag,
 )
 from deepseis_pvt import phase_kernels as kernels
 from deepseis_pvt.ephemeris_book import EphemerisBook
@@ -255,11 +255,6 @@ class PhasePositions:
         if not self.config.add_discriminator:
             return error, sd
         return (np.where(alone, error, 0.0), np.where(alone, sd, 0.0)) if alone.any() else None
-
-
-def without_aiding(o: Observations) -> NDArray[np.bool_]:
-    """Return whose loops lack the aiding that they ought to have."""
-    return np.asarray((o.flags & TrackingFlag.AID_MISSED) != 0)
 
 
 def lag_of(o: Observations, rows: list[int]) -> tuple[FloatArray, FloatArray]:

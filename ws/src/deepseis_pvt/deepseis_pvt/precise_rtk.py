@@ -13,6 +13,7 @@ from deepseis_core.config import check, setting
 from deepseis_core.constants import NS_PER_S, NS_PER_WEEK, SPEED_OF_LIGHT
 from deepseis_core.geodesy import geodetic_from_ecef, rotation_enu_ecef
 from deepseis_core.gps_time import GpsTime
+from deepseis_core.loop_noise import without_aiding
 from deepseis_core.miss_log import EVER
 from deepseis_core.types import (
     Ephemeris,
@@ -20,7 +21,6 @@ from deepseis_core.types import (
     Observations,
     PrecisePosition,
     PreciseStatus,
-    TrackingFlag,
 )
 from deepseis_pvt.ephemeris_book import EphemerisBook
 from deepseis_pvt.phase_values import PhaseConfig
@@ -323,7 +323,7 @@ class RtkPositions:
         R = np.zeros(len(elevation))
         for receiver in (o, base):
             rows = [receiver.satellites.index(name) for name in solution.satellites]
-            alone = (receiver.flags[rows] & TrackingFlag.AID_MISSED) != 0
+            alone = without_aiding(receiver)[rows]
             R += self.phase.variance(receiver.cn0_dbhz[rows].astype(np.float64), elevation, alone)
         aged = (CLOCK_STABILITY * SPEED_OF_LIGHT * solution.age) ** 2
         return np.asarray((G * R) @ G.T), np.asarray(aged * G @ G.T)

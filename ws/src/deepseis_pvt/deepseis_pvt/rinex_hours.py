@@ -5,14 +5,13 @@ from __future__ import annotations
 import datetime as dt
 from pathlib import Path
 
-from deepseis_core.constants import NS_PER_S
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.rinex_nav import rinex3_name, write_rinex_nav
 from deepseis_core.rinex_nav4 import transmit_time, write_rinex_nav4
 from deepseis_core.types import Ephemeris, FloatArray, Observations
+from deepseis_pvt.rinex_left import HOUR_NS
 from deepseis_pvt.rinex_obs import VERSIONS, RinexObsWriter, RinexStation
 
-HOUR_NS = 3600 * NS_PER_S
 MOST_WAITING = 8_000_000
 """Characters that may wait for room on a full disk: a minute or two at 50 Hz."""
 

@@ -111,7 +111,9 @@ class AidingSpan:
             step = float(knots[0]) + self.offset_hz - self._predicted(aiding.knot_sample_index)
             stepped = self._is_single(step, aiding, limits.step_hz)
             self.offset_hz -= step if stepped else 0.0
-        self._append(aiding, knots + self.offset_hz, aiding.carrier_doppler_rate[row])
+        # A copy: what comes out of a message may be read-only, which is another type to kernels.
+        rates = aiding.carrier_doppler_rate[row].copy()
+        self._append(aiding, knots + self.offset_hz, rates)
         self.record["through"] = aiding.valid_through
         self.record["clock_hz"] = aiding.clock_drift_hz
         self.valid = True
@@ -154,8 +156,7 @@ class AidingSpan:
             knots = np.concatenate([self.knots[low:old], knots])
             rates = np.concatenate([self.rates[low:old], rates])
             first = old_first + low * step
-        # Copies: what comes out of a message may be read-only, which is another type to kernels.
-        self.knots, self.rates = np.array(knots), np.array(rates)
+        self.knots, self.rates = knots, rates
         self.record["first"], self.record["step"] = first, step
 
 
