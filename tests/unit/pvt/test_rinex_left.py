@@ -96,3 +96,11 @@ def test_files_without_an_epoch_go(first, tmp_path, content):
     (tmp_path / "DSEI00JPN_1.rnx.part").write_bytes(content)
     assert finish_left(tmp_path) == []
     assert not list(tmp_path.iterdir())
+
+
+def test_a_file_with_a_damaged_header_stays_as_it_is(first, tmp_path):
+    path = killed(first, tmp_path, 10, 13)
+    damaged = path.read_bytes().replace(b"END OF HEADER", b"END OF HEADEX")
+    path.write_bytes(damaged)
+    assert finish_left(tmp_path) == []
+    assert path.read_bytes() == damaged

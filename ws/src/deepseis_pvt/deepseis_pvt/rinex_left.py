@@ -51,9 +51,8 @@ class LeftFile:
         """Look at a file's two ends; None where it has no whole epoch."""
         with path.open("rb") as file:
             first = file.read(END_BYTES)
-            begin = max(0, path.stat().st_size - END_BYTES)
-            file.seek(begin)
-            tail = file.read()
+        tail = _tail(path)
+        begin = path.stat().st_size - len(tail)
         head, found, _ = first.partition(b"END OF HEADER")
         body = len(head) + len(found) + 1
         starts = _epochs(first, body)
@@ -87,6 +86,12 @@ class LeftFile:
         return self.path.replace(target)
 
 
+def _tail(path: Path) -> bytes:
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - END_BYTES))
+        return file.read()
+
+
 def _epochs(data: bytes, begin: int) -> list[tuple[GpsTime, int]]:
     """Return times of the epochs in a piece, and where each ends in it; 0: not in it."""
     found, place = list[tuple[GpsTime, int]](), data.find(b"> ", begin)
@@ -115,15 +120,18 @@ def _epoch_line(line: bytes) -> tuple[GpsTime | None, int]:
 
 
 def left_files(folder: Path, station: str) -> Iterator[LeftFile]:
-    """Yield a station's files that nobody writes to any more; ones without an epoch go."""
+    """Yield a station's files that nobody writes to any more.
+
+    Ones without a whole epoch go; one whose header is damaged stays as it is.
+    """
     for path in sorted(folder.glob(f"{station}_*{ENDING}")):
         if is_being_written(path):
             continue
         found = LeftFile.read(path)
-        if found is None:
-            path.unlink()
-        else:
+        if found is not None:
             yield found
+        elif not any(end for _, end in _epochs(_tail(path), 0)):
+            path.unlink()
 
 
 def take(file: FileIO) -> None:
