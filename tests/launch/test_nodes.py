@@ -80,8 +80,8 @@ def listener(environment):
 def answer(until, ask):
     """A service's reply, asked for again where one was lost.
 
-    A server sends its reply into the void while its writer has not yet discovered who asked, although
-    the client calls the service ready by then (rmw_fastrtps, issue 842).
+    A server sends its reply into the void while its writer has not yet discovered who asked,
+    although the client calls the service ready by then (rmw_fastrtps, issue 842).
     """
     futures = [ask()]
     asked = time.monotonic()

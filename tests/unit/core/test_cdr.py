@@ -71,6 +71,18 @@ def test_rmw_reads_what_we_write(codec, count):
         assert np.array_equal(getattr(again, item.name), getattr(value, item.name))
 
 
+@pytest.mark.parametrize("count", [1, 600])
+@pytest.mark.parametrize("codec", ALL[1:], ids=lambda c: c.msg_type.__name__)
+def test_what_comes_from_a_message_is_of_one_type_for_kernels(codec, count):
+    """Read-only or unaligned arrays are others: trackers once compiled when aiding came."""
+    value, _ = codec.decode(codec.encode(example(codec, count), 5))
+    arrays = [x for x in vars(value).values() if isinstance(x, np.ndarray)]
+    for array in arrays:
+        assert array.flags.writeable
+        assert array.flags.aligned
+        assert array.flags.c_contiguous
+
+
 @pytest.mark.parametrize("codec", ALL, ids=lambda c: c.msg_type.__name__)
 def test_equal_values_have_equal_bytes(codec):
     assert codec.encode(example(codec, 3), 5) == codec.encode(example(codec, 3), 5)

@@ -133,18 +133,6 @@ def test_beyond_a_hole_a_swing_is_no_step_and_a_step_is(span):
     assert abs(span.offset_hz + 11.0) < 2.0
 
 
-def test_what_comes_from_a_message_is_of_one_type_for_the_kernels():
-    """Read-only arrays are another: trackers compiled for 2 s when their first aiding came."""
-    table = doppler(np.arange(21) * STEP / RATE)[None]
-    table.flags.writeable = False
-    made = AidingSpan(RATE)
-    for block in range(2):
-        told = message(block, carrier_doppler_hz=table, carrier_doppler_rate=table)
-        made.take(told, "G07", LIMITS)
-        assert made.knots.flags.writeable
-        assert made.rates.flags.writeable
-
-
 @pytest.mark.parametrize("form", [0, 1])
 @pytest.mark.parametrize("epoch", [0, 4_000_000])
 @pytest.mark.parametrize("clock", [np.nan, -126.0])

@@ -13,13 +13,14 @@ from typing import Final
 
 import numpy as np
 
-from deepseis_core.constants import L1_HZ, SPEED_OF_LIGHT
+from deepseis_core.constants import L1_HZ, L1_WAVELENGTH, SPEED_OF_LIGHT
 from deepseis_core.ephemeris import pack
 from deepseis_core.geodesy import ecef_from_geodetic
 from deepseis_core.propagation import line_of_sight
 from deepseis_core.types import (
     Ephemeris,
     FloatArray,
+    Observations,
     TrackingEpochs,
     TrackingFlag,
     TrackingMode,
@@ -83,13 +84,30 @@ class Receiver:
     def epochs(self, number: int) -> list[TrackingEpochs]:
         """Return one integration of every satellite, in a block."""
         first = number * self.block
-        sky = ephemerides()
-        view = line_of_sight(pack(sky), WEEK, self.tow_ns(first), MONUMENT_ECEF)
-        travel = view.range / SPEED_OF_LIGHT - view.satellite_clock
+        travel, doppler_hz = self._seen(first)
         return [
-            self._message(item.satellite, first, float(travel[k]), float(view.doppler_hz[k]))
-            for k, item in enumerate(sky)
+            self._message(item.satellite, first, float(travel[k]), float(doppler_hz[k]))
+            for k, item in enumerate(ephemerides())
         ]
+
+    def observations(self, number: int) -> Observations:
+        """Return the epoch at the begin of a block."""
+        first = number * self.block
+        travel, doppler_hz = self._seen(first)
+        n = len(travel)
+        small, byte = np.zeros(n, np.float32), np.zeros(n, np.uint8)
+        return Observations(
+            first, 0.0, WEEK, self.tow_ns(first), first + self.block - 1, BLOCK_S,
+            tuple(item.satellite for item in ephemerides()), SPEED_OF_LIGHT * travel,
+            SPEED_OF_LIGHT / L1_WAVELENGTH * travel, doppler_hz, small + np.float32(45.0), byte,
+            small + np.float32(60.0), small, small + np.float32(0.002), small,
+            small + np.float32(0.01), np.full(n, int(_LOCKED), np.uint16),
+        )  # fmt: skip
+
+    def _seen(self, sample: int) -> tuple[FloatArray, FloatArray]:
+        """Return signals' travel times [s] and Doppler [Hz] at a sample, shape (8,)."""
+        view = line_of_sight(pack(ephemerides()), WEEK, self.tow_ns(sample), MONUMENT_ECEF)
+        return view.range / SPEED_OF_LIGHT - view.satellite_clock, view.doppler_hz
 
     def _message(
         self, satellite: str, first: int, travel: float, doppler_hz: float

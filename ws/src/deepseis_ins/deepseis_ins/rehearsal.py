@@ -6,7 +6,7 @@ See `deepseis_core.rehearsal`.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from deepseis_core.imu_grades import ImuGrade
 from deepseis_core.rehearsal import BLOCK_S, MONUMENT_ECEF, WEEK, Receiver, ephemerides
 from deepseis_core.types import (
     ImuSample,
+    LdvVelocity,
     MotionKind,
     MotionState,
     PrecisePosition,
@@ -25,29 +26,50 @@ from deepseis_core.types import (
 )
 from deepseis_ins.fusion_config import FusionConfig
 from deepseis_ins.fusion_engine import FusionEngine
-from deepseis_ins.fusion_output import FusionStatus
-from deepseis_ins.loose import LooseConfig
+from deepseis_ins.fusion_modes import make_engine
+from deepseis_ins.fusion_output import FusionOutput, FusionStatus
+from deepseis_ins.ldv_engine import LdvFusionEngine
 from deepseis_ins.motion_engine import MotionEngine, MotionEngineConfig
 from deepseis_ins.motion_state import MotionConfig
+from deepseis_ins.tight_engine import TightFusionEngine
 
 ALIGNMENT_S: Final = 0.4
 MOVES_AT: Final = 40
 SPANS: Final = 60
 """Spans of 20 ms: the first that moves, and all of them."""
+BEAM_ELEVATION: Final = np.radians([60.0, 45.0])
+"""Of a velocimeter's beams [rad]."""
 
 
 def rehearse_fusion(
     config: FusionConfig,
-    loose: LooseConfig,
     grade: ImuGrade,
     sample_rate_hz: float,
     imu_rate_hz: float,
+    **settings: Any,
 ) -> int:
-    """Let a made-up station stand still and move; returns the spans with valid aiding."""
-    config = replace(config, start_s=0.0, alignment_s=ALIGNMENT_S, coupling="loose")
-    engine = FusionEngine(config, grade, sample_rate_hz, _station(), imu_rate_hz, loose=loose)
+    """Let a made-up station stand still and move, with what its coupling takes.
+
+    Parameters
+    ----------
+    config : FusionConfig
+    grade : ImuGrade
+    sample_rate_hz, imu_rate_hz : float
+        [Hz]
+    settings
+        ``loose``, ``tight``, ``ranges``, ``ldv``, as of `fusion_modes.make_engine`.
+
+    Returns
+    -------
+    int
+        Spans with valid aiding; none would mean that nothing was rehearsed.
+    """
+    config = replace(config, start_s=0.0, alignment_s=ALIGNMENT_S)
+    engine = make_engine(config, grade, sample_rate_hz, _station(), imu_rate_hz, **settings)
     for item in ephemerides():
         engine.push_ephemeris(item)
+    if isinstance(engine, TightFusionEngine):
+        engine.push_klobuchar((0.0,) * 4, (0.0,) * 4)
     samples = _imu(sample_rate_hz, imu_rate_hz)
     receiver, running = Receiver(sample_rate_hz), 0
     for number in range(SPANS):
@@ -55,15 +77,9 @@ def rehearse_fusion(
         while samples and samples[0].sample_index <= through:
             engine.push_imu(samples.pop(0))
         _push_positions(engine, receiver, number)
+        _push_coupled(engine, receiver, number)
         engine.push_motion(_motion(number, receiver))
-        for valid in (
-            engine.source_valid,
-            engine.imu_valid,
-            engine.motion_valid,
-            engine.pvt_valid,
-        ):
-            valid(through)
-        output = engine.advance()
+        output = _advance(engine, through)
         running += output is not None and output.status is FusionStatus.RUNNING
     return running
 
@@ -81,6 +97,15 @@ def rehearse_motion(
     for sample in samples:
         made.push(sample)
     return sum(len(said) for _, said in made.advance(samples[-1].sample_index))
+
+
+def _advance(engine: FusionEngine, through: int) -> FusionOutput | None:
+    """Say that all inputs are there, and go a span further."""
+    for valid in (engine.source_valid, engine.imu_valid, engine.motion_valid, engine.pvt_valid):
+        valid(through)
+    if isinstance(engine, LdvFusionEngine):
+        engine.ldv_valid(through)
+    return engine.advance()
 
 
 def _station() -> Station:
@@ -135,5 +160,20 @@ def _push_positions(engine: FusionEngine, receiver: Receiver, number: int) -> No
             Pvt(
                 sample, WEEK, tow_ns, through, PvtStatus.SINGLE, antenna, np.zeros(3), 0.0, 0.0,
                 np.eye(3), 1e-4 * np.eye(3),
+            )
+        )  # fmt: skip
+
+
+def _push_coupled(engine: FusionEngine, receiver: Receiver, number: int) -> None:
+    """Push what tight coupling, or a velocimeter, measures in a span."""
+    if isinstance(engine, TightFusionEngine):
+        engine.push_observations(receiver.observations(number))
+    if isinstance(engine, LdvFusionEngine):
+        sample, speed = number * receiver.block, 1.0 * (number >= MOVES_AT)
+        beams = speed * np.cos(BEAM_ELEVATION)
+        engine.push_ldv(
+            LdvVelocity(
+                sample, sample + receiver.block, beams, BEAM_ELEVATION, speed, 0.0,
+                np.full(2, 1e-3, np.float32), 1e3,
             )
         )  # fmt: skip

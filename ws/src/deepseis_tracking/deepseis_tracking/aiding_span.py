@@ -111,9 +111,7 @@ class AidingSpan:
             step = float(knots[0]) + self.offset_hz - self._predicted(aiding.knot_sample_index)
             stepped = self._is_single(step, aiding, limits.step_hz)
             self.offset_hz -= step if stepped else 0.0
-        # A copy: what comes out of a message may be read-only, which is another type to kernels.
-        rates = aiding.carrier_doppler_rate[row].copy()
-        self._append(aiding, knots + self.offset_hz, rates)
+        self._append(aiding, knots + self.offset_hz, aiding.carrier_doppler_rate[row])
         self.record["through"] = aiding.valid_through
         self.record["clock_hz"] = aiding.clock_drift_hz
         self.valid = True

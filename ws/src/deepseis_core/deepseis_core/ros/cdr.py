@@ -115,9 +115,10 @@ def _numbers(code: str, fixed: int | None) -> tuple[Put, Get]:
         if count * width > len(data) - at:
             raise CdrError(f"sequence of {count} numbers")
         end = at + count * width
-        if count * width > 4096:
-            return np.frombuffer(data, dtype, count, at), end  # large: a view
-        return np.frombuffer(data[at:end], dtype, count), end  # small: aligned
+        if width <= 2 and count * width > 4096:
+            return np.frombuffer(data, dtype, count, at), end  # IF samples: a view
+        # Aligned and writable: any other array is another type to kernels, to be compiled anew.
+        return np.frombuffer(bytearray(memoryview(data)[at:end]), dtype, count), end
 
     return put, get
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -93,21 +94,20 @@ class FusionNode(Node):
         ldv = declare(self, LdvFusionConfig)
         reject_unknown(self)
         config = self.config
-        rates, grade = (config.sample_rate_hz, config.imu_rate_hz), grade_named(config.imu_grade)
+        rate_hz, imu_rate_hz = config.sample_rate_hz, config.imu_rate_hz
+        settings: dict[str, Any] = {"loose": loose, "tight": tight, "ranges": ranges, "ldv": ldv}
+        grade = grade_named(config.imu_grade)
         self.engine = make_engine(
             fusion,
             grade,
-            rates[0],
+            rate_hz,
             self.station(),
-            rates[1],
-            loose=loose,
-            tight=tight,
-            ranges=ranges,
-            ldv=ldv,
+            imu_rate_hz,
             script=self.flow.script,
+            **settings,
         )
         if not self.flow.lockstep:
-            rehearse_fusion(fusion, loose, grade, *rates)
+            rehearse_fusion(fusion, grade, rate_hz, imu_rate_hz, **settings)
         self.load_navigation()
         self.clock = SampleClock(config.start_utc_ns, config.sample_rate_hz)
         counting = not self.flow.rejoins
