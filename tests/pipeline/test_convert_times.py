@@ -9,6 +9,7 @@ from deepseis_bringup.accept.scene import Scene, aided
 from deepseis_bringup.bags.mcap_recording import BagWriter
 from deepseis_bringup.bags.ros_definitions import TopicQos
 from deepseis_bringup.export import convert
+from deepseis_bringup.export.convert_survey import ConvertOptions
 from deepseis_bringup.export.quiet_obspy import obspy_modules
 from deepseis_bringup.graph import topic_type
 from deepseis_bringup.offline import OfflineChain, encode
@@ -63,7 +64,7 @@ def archive(scene, tmp_path_factory):
                 write(output.topic, encode(output), output.utc_ns)
     out = folder / "out"
     out.mkdir()
-    options = convert.ConvertOptions(station="DSEI")
+    options = ConvertOptions(station="DSEI")
     convert.convert(folder / "bag", "miniseed", out, options, print)
     return out
 

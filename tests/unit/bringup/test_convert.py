@@ -18,6 +18,7 @@ from deepseis_bringup.bags.mcap_recording import BagWriter
 from deepseis_bringup.bags.ros_definitions import TopicQos
 from deepseis_bringup.cli import app
 from deepseis_bringup.export import convert
+from deepseis_bringup.export.convert_survey import ConvertOptions, survey
 from deepseis_bringup.export.quiet_obspy import obspy_modules
 from deepseis_bringup.graph import TYPES
 from deepseis_core.constants import L1_WAVELENGTH, SPEED_OF_LIGHT
@@ -190,7 +191,7 @@ def bag(tmp_path_factory):
 def archive(bag, tmp_path_factory):
     folder = tmp_path_factory.mktemp("archive")
     said = []
-    options = convert.ConvertOptions(alias=True)
+    options = ConvertOptions(alias=True)
     written = convert.convert(bag, "miniseed", folder, options, said.append)
     assert all(path.is_file() for path in written)
     return folder, said
@@ -300,7 +301,7 @@ def test_quakeml_beside_it(archive):
 def test_hourly_rinex_through_rtklib(bag, tmp_path, version):
     import pyrtklib as rtk
 
-    options = convert.ConvertOptions(rinex_version=version, rinex_name="DSEI00JPN")
+    options = ConvertOptions(rinex_version=version, rinex_name="DSEI00JPN")
     written = convert.convert(bag, "rinex", tmp_path, options, print)
     assert [path.name for path in written] == [
         "DSEI00JPN_R_20220010200_01M_50Z_GO.rnx",
@@ -357,7 +358,7 @@ def table(path):
 
 
 def test_csv_has_exact_times_and_all_rows(bag, tmp_path):
-    written = convert.convert(bag, "csv", tmp_path, convert.ConvertOptions(), print)
+    written = convert.convert(bag, "csv", tmp_path, ConvertOptions(), print)
     names = {path.stem for path in written}
     assert names == {"displacement_fused", "displacement_gnss", "imu", "observations",
                      "positions", "events", "ephemerides"}  # fmt: skip
@@ -404,9 +405,7 @@ def test_a_bag_without_motion_says_so(tmp_path):
     write.bag.close()
     (tmp_path / "out").mkdir()
     with pytest.raises(InputError, match="holds nothing for miniseed"):
-        convert.convert(
-            tmp_path / "bag", "miniseed", tmp_path / "out", convert.ConvertOptions(), print
-        )
+        convert.convert(tmp_path / "bag", "miniseed", tmp_path / "out", ConvertOptions(), print)
 
 
 @pytest.mark.parametrize("part", [0.4, 0.97])
@@ -415,7 +414,7 @@ def test_a_bag_that_was_cut_short_is_converted_as_far_as_it_goes(bag, tmp_path, 
     cut, out, said = tmp_path / "cut.mcap", tmp_path / "out", []
     cut.write_bytes(whole.read_bytes()[: round(part * whole.stat().st_size)])
     out.mkdir()
-    written = convert.convert(cut, "miniseed", out, convert.ConvertOptions(), said.append)
+    written = convert.convert(cut, "miniseed", out, ConvertOptions(), said.append)
     assert all(path.stat().st_size for path in written)
     assert any("cut short or damaged" in text for text in said)
 
@@ -426,7 +425,7 @@ def test_a_bag_that_was_cut_before_its_first_epoch_says_so(bag, tmp_path):
     cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 50])
     out.mkdir()
     with pytest.raises(InputError, match="holds nothing for rinex"):
-        convert.convert(cut, "rinex", out, convert.ConvertOptions(), print)
+        convert.convert(cut, "rinex", out, ConvertOptions(), print)
 
 
 @pytest.mark.parametrize("at", [0.3, 0.6])
@@ -441,7 +440,7 @@ def test_damage_within_a_bag_is_a_gap_and_is_said(bag, tmp_path, at):
     bad, out, said = tmp_path / "bad.mcap", tmp_path / "out", []
     bad.write_bytes(data)
     out.mkdir()
-    assert convert.convert(bad, "miniseed", out, convert.ConvertOptions(), said.append)
+    assert convert.convert(bad, "miniseed", out, ConvertOptions(), said.append)
     assert any("cut short or damaged" in text for text in said)
 
 
@@ -453,7 +452,7 @@ def test_two_stations_in_a_bag_are_refused(tmp_path):
     write("station", data, 10**18)
     write.bag.close()
     with pytest.raises(InputError, match="one station at a time"):
-        convert.survey(tmp_path / "bag")
+        survey(tmp_path / "bag")
 
 
 def test_a_message_that_cannot_be_read_is_named(tmp_path):
@@ -461,7 +460,7 @@ def test_a_message_that_cannot_be_read_is_named(tmp_path):
     write("station", b"\0\1\0\0" + struct.pack("<iI", 1, 2) + b"\xff" * 8, 10**18)
     write.bag.close()
     with pytest.raises(InputError, match="unreadable message on /DSEI/station"):
-        convert.survey(tmp_path / "bag")
+        survey(tmp_path / "bag")
 
 
 def test_a_clock_set_by_a_millisecond_moves_no_true_time():
@@ -476,7 +475,7 @@ def test_a_clock_set_by_a_millisecond_moves_no_true_time():
 
 
 def test_the_imu_s_table_is_an_input_again(bag, tmp_path):
-    convert.convert(bag, "csv", tmp_path, convert.ConvertOptions(), print)
+    convert.convert(bag, "csv", tmp_path, ConvertOptions(), print)
     rows = table(tmp_path / "imu.csv")
     clock = SampleClock(START.to_utc_ns(), 4e6)
     imu = open_imu(tmp_path / "imu.csv", clock)

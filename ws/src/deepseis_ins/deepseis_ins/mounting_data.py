@@ -6,8 +6,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deepseis_core.config import setting
 from deepseis_core.errors import InputError
 from deepseis_core.types import FloatArray
+
+
+@dataclass(frozen=True)
+class MountingConfig:
+    """Settings of `estimate_mounting`."""
+
+    largest_offset: float = setting(2.0, "searched for on both sides [s]", low=0.01, high=60.0)
+    stretch: float = setting(8.0, "length of a stretch of the fit [s]", low=2.0, high=60.0)
+    most_stretches: int = setting(40, "fitted, those that move most [-]", low=1, high=1000)
+    level_s: float = setting(1.0, "at rest at the start, for levelling [s]", low=0.1, high=600.0)
+    attitude_sd: float = setting(0.2, "of a stretch's first attitude [rad]", low=1e-6, high=1.0)
+    gyro_bias_sd: float = setting(5e-3, "of the gyroscopes' bias [rad/s]", low=0.0)
+    accel_bias_sd: float = setting(0.2, "of the accelerometers' bias [m/s^2]", low=0.0)
+    accel_scale_sd: float = setting(3e-3, "of the accelerometers' scale [-]", low=0.0)
+    accel_walk: float = setting(2e-3, "velocity random walk [m/s/sqrt(s)]", low=0.0)
+    lever_arm_sd: float = setting(3.0, "what is known of the lever arm before [m]", low=1e-4)
+    least_turning: float = setting(
+        4e-3, "to and fro, r.m.s., below which the lever arm is left as given [rad]", low=0.0
+    )
+    offset_sd: float = setting(0.1, "of the offset after the search [s]", low=1e-4)
+    least_agreement: float = setting(
+        0.5, "correlation of both velocities, below which nothing is said [-]", low=0.0, high=1.0
+    )
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ are solved for (J. Kusche, B. Gundlich: normal equations with nuisance parameter
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -26,11 +26,8 @@ from deepseis_core.geodesy import normal_gravity
 from deepseis_core.rotation import matrix_from_quat, quat_from_rotvec, quat_multiply
 from deepseis_core.types import FloatArray
 from deepseis_ins.alignment import earth_rate
-from deepseis_ins.mounting_data import AntennaSeries, ImuSeries
+from deepseis_ins.mounting_data import AntennaSeries, ImuSeries, MountingConfig
 from deepseis_ins.mounting_kernels import attitude_kernel
-
-if TYPE_CHECKING:
-    from deepseis_ins.mounting import MountingConfig
 
 COMMON = 7
 """Offset, lever arm, scale factors of the accelerometers."""

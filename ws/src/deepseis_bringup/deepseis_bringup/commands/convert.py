@@ -53,10 +53,9 @@ def convert(
 
     def work(folder: Path) -> None:
         from deepseis_bringup.export import convert as conversion
+        from deepseis_bringup.export.convert_survey import ConvertOptions
 
-        options = conversion.ConvertOptions(
-            network, station, rinex_version, rinex_name, alias, rtcm_rate
-        )
+        options = ConvertOptions(network, station, rinex_version, rinex_name, alias, rtcm_rate)
         written = conversion.convert(bag_of(bag), to, folder, options, say)
         typer.echo(f"files = {len(written)}")
 

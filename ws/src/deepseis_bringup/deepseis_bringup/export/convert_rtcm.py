@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from deepseis_bringup.export.convert_survey import ConvertOptions, Say, Survey
 from deepseis_bringup.export.nmea import gga
 from deepseis_bringup.export.rtcm_stream import RtcmConfig, RtcmStream
-
-if TYPE_CHECKING:
-    from deepseis_bringup.export.convert import ConvertOptions, Say, Survey
 
 RTCM_TOPICS: Final = ("station", "gnss/ephemeris", "gnss/observations")
 
