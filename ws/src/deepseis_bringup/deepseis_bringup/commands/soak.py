@@ -17,8 +17,9 @@ def soak(
         typer.Option("--observables", help="Filters alone, from observables, in one process."),
     ] = False,
     minutes: Annotated[
-        float, typer.Option(help="Station time [min]; with --observables 1440 by default.", min=2)
-    ] = 0.0,
+        float | None,
+        typer.Option(help="Station time [min]; default 60, with --observables 1440.", min=2),
+    ] = None,
     pace: Annotated[
         float,
         typer.Option(
