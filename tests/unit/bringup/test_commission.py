@@ -215,3 +215,28 @@ def test_the_page_puts_failures_first_and_escapes_what_it_shows(good):
     assert "<b>" not in text.split("<main>")[0].split("<body>")[1]
     body = text.split("<tbody>")[1]
     assert body.index(">fail<") < body.index(">open<") < body.index(">pass<")
+
+
+def test_a_gap_of_the_imu_shifts_no_second_that_is_called_still(good):
+    """It rests to 14 s and from 35 s on; 5.4 s of the rest are missing, not at whole seconds."""
+    rate = good.clock.sample_rate_hz
+    kept = [s for s in good.imu if not 3.3 < s.sample_index / rate < 8.7]
+    gap = replace(good, imu=kept)
+    middles = np.arange(36) + 0.5
+
+    def still(data):
+        return [data.is_still_at(round(t * rate)) for t in middles]
+
+    expected = np.array(still(good)) & ~((middles > 4.0) & (middles < 8.0))
+    lacking = np.flatnonzero(expected != still(gap))
+    assert set(lacking) <= {3, 8}  # seconds of which a part is missing
+    assert not fails(gap)
+    assert found(gap)["IMU and GNSS while moving"].status == PASS
+
+
+def test_an_imu_that_speaks_in_bursts_leaves_its_checks_open(good):
+    rate = good.clock.sample_rate_hz
+    bursts = replace(good, imu=[s for s in good.imu if s.sample_index / rate % 1.0 < 0.2])
+    checks = found(bursts, (commissioning.gravity, commissioning.turning, commissioning.shaking))
+    assert {check.status for check in checks.values()} == {OPEN}
+    assert not bursts.is_still_at(round(5 * rate))

@@ -71,3 +71,18 @@ def test_what_nobody_takes_does_not_grow_for_ever() -> None:
 def test_what_is_no_station_s_name_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="names no station"):
         address_of(text)
+
+
+def test_a_base_whose_time_is_set_back_is_heard_again() -> None:
+    """It was an hour ahead, and is right now; what comes twice is still left out."""
+    base = StationBase(address_of("station://KOBE"), CLOCK)
+    hour = 3600 * 50
+    for number in (hour, hour + 5, 0, 5, 10, 5):
+        base.push_epoch(said(number))
+    assert base.counts["repeated"] == 1
+    player = BasePlayer(base, CLOCK, waits=False, now=lambda: 0.0)
+    samples = [
+        event.sample_index for event in player.due(10**7) if isinstance(event, Observations)
+    ]
+    assert samples == [0, 400_000, 800_000]
+    assert player.counts["dropped"] == 2

@@ -340,3 +340,23 @@ def test_an_antenna_that_comes_to_rest_without_phases_has_its_reference_again_le
     assert all(again[again.index(True) :])
     np.testing.assert_allclose(reference.covariance, config.lost_sd**2 * np.eye(3))
     assert reference.counts["lost_references"] == 1
+
+
+def test_a_rest_with_a_hole_is_gathered_anew():
+    """Phases that come back have another error: what they say is not averaged with the old."""
+    reference, nothing = StillReference(ReferenceConfig(), witnessed=True), 1e-6 * np.eye(3)
+    settle = reference.config.settle_s
+
+    def told(begin, duration, place, still=True):
+        times = np.arange(begin, begin + duration, 0.02)
+        where = None if place is None else np.array([place, 0.0, 0.0])
+        return [reference.decide(t, still, where, nothing, 0.1 * nothing) for t in times]
+
+    told(0.0, 2.0, 0.0)
+    told(2.0, 2.0, 0.5, still=False)
+    assert not any(told(4.0, 0.8 * settle, 0.500))
+    told(4.0 + 0.8 * settle, 3.0, None)
+    back = 7.0 + 0.8 * settle
+    again = told(back, settle + 1.0, 0.501)
+    assert again.index(True) * 0.02 == pytest.approx(settle, abs=0.05)
+    assert reference.position[0] == pytest.approx(0.501, abs=1e-9)

@@ -17,6 +17,8 @@ INTERVAL_S: Final = 0.1
 """Epochs of a base that are used: more of them carry no more news."""
 LIMIT: Final = 600
 """Events kept for a signal that is not there yet; then the oldest are dropped."""
+SET_BACK_S: Final = 60
+"""An epoch so long before the last one is of another clock: the station was started anew [s]."""
 
 
 class StationBase:
@@ -68,7 +70,7 @@ class StationBase:
         if epoch.tow_ns % round(INTERVAL_S * NS_PER_S):
             return
         utc_ns = utc_of(epoch)
-        if utc_ns <= self._newest:
+        if self._newest - SET_BACK_S * NS_PER_S <= utc_ns <= self._newest:
             self.counts["repeated"] += 1
             return
         self._newest = utc_ns

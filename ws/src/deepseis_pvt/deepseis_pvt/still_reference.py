@@ -15,6 +15,9 @@ MOTION_LIMIT: Final = float(chdtri(3, 1e-9))
 """Squared normalised displacement from the reference that phases alone call motion [-]."""
 OFFSET_LIMIT: Final = float(chdtri(3, 1e-2))
 """Of a displacement that stays behind: below, it cannot be told from none [-]."""
+HOLE_S: Final = 1.5
+"""Without displacements for longer, what was gathered before does not count: phases that come back
+bring another error [s]."""
 RESTLESS: Final = 2.0
 """Spread, over that of the noise, beyond which an antenna is not called still again [-]."""
 
@@ -74,6 +77,7 @@ class StillReference:
         }  # fmt: skip
         self._held = -np.inf
         self._since: float | None = None
+        self._last = -np.inf  # of the displacements gathered
         self._blind: float | None = None  # at rest without displacements since then
         self._rest: list[FloatArray] = []
 
@@ -132,8 +136,10 @@ class StillReference:
             self._wait_blindly(time)
             return
         self._blind = None
-        if self._since is None:
+        if self._since is None or time - self._last > HOLE_S:
             self._since = time
+            self._rest.clear()
+        self._last = time
         self._rest.append(displacement)
         if time - self._since < self.config.settle_s:
             return

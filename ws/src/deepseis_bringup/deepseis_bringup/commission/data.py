@@ -35,6 +35,48 @@ MOVES = 0.05
 """R.m.s. of the specific force's change in a window that surely moves [m/s^2]."""
 
 
+@dataclass(frozen=True)
+class Windows:
+    """Samples of an IMU by whole seconds since the first of them.
+
+    Attributes
+    ----------
+    second : ndarray, shape (n,)
+        Numbers of the windows.
+    force, rate : ndarray, shape (n, 3)
+        Means [m/s^2, rad/s].
+    change : ndarray, shape (n,)
+        R.m.s. change of the force within a window [m/s^2].
+    whole : ndarray of bool, shape (n,)
+        No more than a fiftieth of its samples is missing.
+    of_sample : ndarray, shape (m,)
+        Number of each sample's window.
+    """
+
+    second: NDArray[np.int64]
+    force: FloatArray
+    rate: FloatArray
+    change: FloatArray
+    whole: NDArray[np.bool_]
+    of_sample: NDArray[np.int64]
+
+
+def windows_of(time: FloatArray, force: FloatArray, rate: FloatArray, size: int) -> Windows:
+    """Return the windows of samples at times since the first one, ``size`` of them a window."""
+    number = np.floor(time / WINDOW_S + 1e-9).astype(np.int64)
+    second, group, count = np.unique(number, return_inverse=True, return_counts=True)
+
+    def mean(values: FloatArray) -> FloatArray:
+        sums = [np.bincount(group, weights=column) for column in values.T]
+        return np.stack(sums, axis=1) / count[:, None]
+
+    centre = mean(force)
+    change = np.sqrt(mean((force - centre[group]) ** 2).sum(axis=1))
+    some, missing = count >= 0.5 * size, size - count
+    whole = missing <= max(1.0, 0.02 * size)
+    return Windows(second[some], centre[some], mean(rate)[some], change[some], whole[some], number)
+
+
 @dataclass
 class StationData:
     """Values of one station, IMU samples forward-left-up, all by sample index."""
@@ -74,40 +116,46 @@ class StationData:
         return imu_series(self.imu, self.clock, self.imu_rate_hz)
 
     @cached_property
-    def windows(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Means of force and rate, (n, 3), and r.m.s. changes of force, of whole seconds."""
-        force = np.array([s.linear_acceleration for s in self.imu])
-        rate = np.array([s.angular_velocity for s in self.imu])
+    def windows(self) -> Windows:
+        """The IMU by seconds of its own time; those that lack half their samples are left out."""
+        ends = np.array([s.sample_index for s in self.imu], np.int64)
         size = round(WINDOW_S * self.imu_rate_hz)
-        count = len(force) // size
-        cut = [v[: count * size].reshape(count, size, 3) for v in (force, rate)]
-        return cut[0].mean(axis=1), cut[1].mean(axis=1), np.sqrt(cut[0].var(axis=1).sum(axis=1))
+        return windows_of(
+            (ends - ends[0]) / self.clock.sample_rate_hz,
+            np.array([s.linear_acceleration for s in self.imu]),
+            np.array([s.angular_velocity for s in self.imu]),
+            size,
+        )
+
+    @property
+    def has_imu(self) -> bool:
+        """Whether there is an IMU, with a second of data somewhere."""
+        return bool(self.imu) and self.windows.second.size > 0
 
     def still(self) -> NDArray[np.bool_]:
-        """Tell of each whole second of the IMU whether it is still, shape (n,) of bool.
+        """Tell of each window of the IMU whether it is still, shape (n,) of bool.
 
         The quietest ones are, and what is not much louder.
         """
-        change = self.windows[2]
+        change = self.windows.change
         return np.asarray(change < max(STILL_RATIO * float(np.quantile(change, 0.2)), 1e-12))
 
     def moves(self) -> bool:
         """Tell whether some seconds surely move: well over the noise of the others."""
-        change = self.windows[2]
+        change = self.windows.change
         quiet = float(np.quantile(change, 0.2))
         return int(np.sum(change > max(MOVES, 1.5 * quiet))) >= 4
 
     def is_still_at(self, sample_index: int) -> bool:
-        """Tell whether the second of a sample is still."""
-        return bool(self.still_seconds.get(int(sample_index / self.clock.sample_rate_hz), False))
+        """Tell whether the window of a sample is still; one without IMU data is not."""
+        if not self.has_imu:
+            return False
+        since = (sample_index - self.imu[0].sample_index) / self.clock.sample_rate_hz
+        return int(since // WINDOW_S) in self._still_seconds
 
     @cached_property
-    def still_seconds(self) -> dict[int, bool]:
-        """Whether each second since sample 0 is still."""
-        if not self.imu:
-            return {}
-        first = self.imu[0].sample_index / self.clock.sample_rate_hz
-        return {int(first + k * WINDOW_S): bool(v) for k, v in enumerate(self.still())}
+    def _still_seconds(self) -> set[int]:
+        return set(self.windows.second[self.still()].tolist())
 
 
 TOPICS = ("station", "imu/data_raw", "gnss/pvt", "gnss/precise", "gnss/rtk", "gnss/observations")

@@ -23,9 +23,9 @@ NOISE_RATIO: Final = 1.6
 def gravity(data: StationData) -> list[Check]:
     """Compare the specific force at rest with gravity upwards."""
     name = "IMU's axes, by gravity"
-    if not data.imu:
+    if not data.has_imu:
         return [Check(name, OPEN, "no IMU", "")]
-    force = data.windows[0][data.still()].mean(axis=0)
+    force = data.windows.force[data.still()].mean(axis=0)
     place = geodetic_from_ecef(data.station.monument_ecef)
     g = float(normal_gravity(place[0], place[2]))
     accel = data.grade.accelerometers
@@ -49,10 +49,10 @@ def gravity(data: StationData) -> list[Check]:
 def turning(data: StationData) -> list[Check]:
     """Compare the rate at rest with the Earth's."""
     name = "gyroscopes' axes, by the Earth's rate"
-    if not data.imu or not data.grade.has_gyros:
+    if not data.has_imu or not data.grade.has_gyros:
         return [Check(name, OPEN, "no gyroscopes", "")]
     still = data.still()
-    rate = data.windows[1][still].mean(axis=0)
+    rate = data.windows.rate[still].mean(axis=0)
     gyros = data.grade.gyros
     sd = sqrt(gyros.bias**2 + gyros.instability**2 + gyros.walk**2 / max(1, int(still.sum())))
     place = geodetic_from_ecef(data.station.monument_ecef)
@@ -74,12 +74,16 @@ def turning(data: StationData) -> list[Check]:
 
 def noise(data: StationData) -> list[Check]:
     """Compare the IMU's noise at rest with its grade, by the Allan deviation."""
-    if not data.imu:
+    if not data.has_imu:
         return []
-    size, (begin, end) = round(data.imu_rate_hz), _longest(data.still())
+    windows, grade = data.windows, data.grade
+    quiet = np.zeros(windows.second[-1] + 1, np.bool_)
+    quiet[windows.second[data.still() & windows.whole]] = True
+    begin, end = _longest(quiet)
     if end - begin < 5:
         return [Check("IMU's noise", OPEN, "no 5 s at rest", "")]
-    part, grade = data.imu[begin * size : end * size], data.grade
+    first, last = np.searchsorted(windows.of_sample, [begin, end])
+    part = data.imu[first:last]
     rate = np.array([s.angular_velocity for s in part])
     force = np.array([s.linear_acceleration for s in part])
     return [

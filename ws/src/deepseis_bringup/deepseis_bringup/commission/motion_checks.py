@@ -26,7 +26,7 @@ def shaking(data: StationData) -> list[Check]:
     """Compare IMU and GNSS while it moves: axes, time offset, lever arm."""
     name = "IMU and GNSS while moving"
     hint = "move or shake the antenna's mount for half a minute, 0.1 g and more"
-    if not data.imu or not data.moves():
+    if not data.has_imu or not data.moves():
         return [Check(name, OPEN, "nothing moved", "agreement above 0.5", hint)]
     seen = antenna_series(data)
     if seen is None:

@@ -42,7 +42,7 @@ def start_time(data: StationData) -> list[Check]:
 def position(data: StationData) -> list[Check]:
     """Compare the mean position with monument and lever arm."""
     name = "monument, by mean position"
-    seen = [p for p in data.placed if not data.imu or data.is_still_at(p.sample_index)]
+    seen = [p for p in data.placed if not data.has_imu or data.is_still_at(p.sample_index)]
     if len(seen) < 20:
         return [Check(name, OPEN, f"{len(seen)} positions at rest", "at least 20")]
     station = data.station
