@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 from fusion_bench import FusionBench, Outputs, as_bytes, precise_positions, watermarks
 
+from deepseis_core.rotation import matrix_from_quat, rotvec_from_matrix
 from deepseis_core.types import DisplacementSource, FloatArray, PrecisePosition, PreciseStatus
 from deepseis_ins.fusion_config import FusionConfig
 
 RATE = 4_000_000
 STEP = (0.5, -0.3, 0.2)
 """Left by the earthquake, east, north, up [m]."""
+TILT = (2.0, -3.0, 1.0)
+"""Left by it too: about east, about north, clockwise from above [deg]."""
 SHAKING = (14.0, 26.0)
 """[s]"""
 JUMP = (0.05, -0.05, 0.1)
@@ -24,11 +27,13 @@ NOISE = (1e-3, 1e-3, 2.5e-3)
 
 @pytest.fixture(scope="module")
 def run() -> FusionBench:
-    """Still, 12 s on a circle of 12 cm at 2 Hz (2 g) with a step of 0.6 m, still."""
-    east, north, up = STEP
+    """Still, 12 s on a circle of 12 cm at 2 Hz (2 g) with a step of 0.6 m and a tilt, still."""
+    (east, north, up), (pitch, roll, heading) = STEP, TILT
     motion = (
         f"[{{kind: circle, radius: 0.12, frequency_hz: 2.0, start: {SHAKING[0]}, duration: 12.0}},"
-        f" {{kind: offset, east: {east}, north: {north}, up: {up}, start: 18.0, rise: 3.0}}]"
+        f" {{kind: offset, east: {east}, north: {north}, up: {up}, start: 18.0, rise: 3.0}},"
+        f" {{kind: tilt, pitch_deg: {pitch}, roll_deg: {roll}, heading_deg: {heading},"
+        " start: 18.0, rise: 3.0}]"
     )
     return FusionBench("sine-2hz", "stim300", "duration=40", f"motion={motion}")
 
@@ -52,8 +57,12 @@ def displacement(
     found = [m for span in outputs.spans for m in span.motion if m.source == source]
     start = outputs.run.bench.start
     t = np.concatenate([(m.tow_ns - start.tow_ns) * 1e-9 for m in found])
-    truth = outputs.run.bench.motion.at(t).position
-    truth = truth - outputs.run.bench.motion.at(np.zeros(1)).position
+    # By phases alone it is the antenna's: a tilt swings it about the IMU.
+    bench, arm = outputs.run.bench, np.zeros(3)
+    if source == DisplacementSource.GNSS:
+        arm = np.asarray(bench.scenario.lever_arm)
+    at, before = bench.motion.at(t), bench.motion.at(np.zeros(1))
+    truth = at.position + at.C_enu_b @ arm - before.position - before.C_enu_b @ arm
     value = np.concatenate([m.displacement for m in found])
     return t, value - truth, np.concatenate([m.displacement_sd for m in found])
 
@@ -88,6 +97,21 @@ def test_displacement_to_a_millimetre_and_the_step_stays(outputs: Outputs) -> No
     assert 0.3 < rms(normalised[shaking]) < 1.6
     assert rms(normalised[left]) < 2.5  # one draw of what crept
     assert np.abs(error[t < SHAKING[0] - 0.1]).max() < 0.001
+
+
+def test_the_tilt_stays(run: FusionBench, outputs: Outputs) -> None:
+    solutions = [s.solution for s in outputs.spans if len(s.solution.sample_index)]
+    t = np.concatenate([s.sample_index for s in solutions]) / RATE
+    orientation = np.concatenate([np.reshape(s.orientation_xyzw, (-1, 4)) for s in solutions])
+    true = run.bench.motion.at(t).C_enu_b
+    turned = np.degrees(rotvec_from_matrix(true[-1] @ true[0].T))
+    assert np.abs(turned).max() > 2.9
+    error = rotvec_from_matrix(matrix_from_quat(orientation[-1]) @ true[-1].T)
+    before = rotvec_from_matrix(matrix_from_quat(orientation[0]) @ true[0].T)
+    sd = np.reshape(solutions[-1].state_sd, (-1, 15))[-1, 6:9]  # north, east, down
+    assert np.all(np.abs(error)[[1, 0, 2]] < 3.0 * sd)
+    # How much it has turned is known better than how the IMU was surveyed to stand.
+    assert np.degrees(np.abs(error - before)).max() < 0.05
 
 
 def test_precise_positions_alone_are_published_as_they_are(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -89,13 +90,21 @@ def moving(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     return d, v, np.gradient(v, 1.0 / RATE, axis=0)
 
 
-def reports(engine: EventEngine, settled: float = 0.0) -> tuple[list[Report], FloatArray]:
-    """Feed 45 s in spans of 20 ms; ``settled`` is where the ground has been before [m]."""
-    t = np.arange(0.0, 45.0, 1.0 / RATE)
+def reports(
+    engine: EventEngine,
+    settled: float = 0.0,
+    *,
+    seconds: float = 45.0,
+    each: Callable[[int], None] = lambda _row: None,
+    into: list[Report] | None = None,
+) -> tuple[list[Report], FloatArray]:
+    """Feed spans of 20 ms; ``settled`` is where the ground has been before [m]."""
+    t = np.arange(0.0, seconds, 1.0 / RATE)
     d, v, a = moving(t)
     a = a + np.random.default_rng(5).normal(0.0, 3e-3, a.shape)
-    found = []
+    found = [] if into is None else into
     for row in range(0, len(t), 4):
+        each(row)
         part, n = slice(row, row + 4), 4
         sd = np.full((n, 3), 1e-3, np.float32)
         motion = Displacement(
@@ -135,6 +144,63 @@ def test_an_event_from_onset_to_end(settled: float) -> None:
     )
     assert last.hypocentral_distance == pytest.approx(engine.distance)
     assert np.isnan(events[0].magnitude)  # nothing has moved yet
+
+
+BELOW = [35.0, 140.0, 30.0]
+
+
+def located(at: dict[float, list[float]], **settings: float) -> tuple[EventEngine, list[Report]]:
+    """Return an engine after 60 s and its reports; hypocentres are given at times [s]."""
+    engine, due, found = EventEngine(EventConfig(**settings), OnsetConfig(), "", STATION), at, []
+
+    def told(row: int) -> None:
+        for time in [t for t in due if row / RATE >= t]:
+            found.extend(engine.locate(due.pop(time)))
+
+    reports(engine, each=told, seconds=60.0, into=found)
+    return engine, found
+
+
+def test_a_hypocentre_that_is_known_in_the_middle_of_an_event() -> None:
+    _, found = located({25.0: BELOW})
+    before = [item.event for item in found if item.utc_ns < TIME.to_utc_ns() + 24_900_000_000]
+    assert len(before) > 15
+    assert np.isnan([[item.hypocentral_distance, item.magnitude] for item in before]).all()
+    at_once = next(item for item in found if item.event.magnitude > 0.0)
+    assert at_once.utc_ns - TIME.to_utc_ns() == pytest.approx(25.0e9, abs=20e6)
+    whole = reports(EventEngine(EventConfig(hypocentre=BELOW), OnsetConfig(), "", STATION))[0]
+    assert found[-1].event == whole[-1].event  # as if it had been known
+
+
+def test_a_hypocentre_that_is_known_after_the_event() -> None:
+    engine, found = located({50.0: BELOW})
+    known, last = found[-2:]
+    assert known.event.ended
+    assert np.isnan(known.event.magnitude)
+    assert last.event.ended
+    assert (last.utc_ns, last.event.event_id) == (known.utc_ns, known.event.event_id)
+    assert last.event.magnitude == pytest.approx(
+        pgd.magnitude(last.event.peak_displacement, engine.distance)
+    )
+    (taken_back,) = engine.locate([])
+    assert np.isnan([taken_back.event.hypocentral_distance, taken_back.event.magnitude]).all()
+
+
+def test_a_hypocentre_is_not_that_of_other_earthquakes() -> None:
+    _, of_before = located({5.0: BELOW}, hypocentre_valid_s=10.0)
+    _, of_after = located({50.0: BELOW}, hypocentre_valid_s=10.0)
+    _, soon = located({15.0: BELOW}, hypocentre_valid_s=10.0)
+    assert np.isnan([item.event.magnitude for item in [*of_before, *of_after]]).all()
+    assert soon[-1].event.magnitude > 0.0
+
+
+def test_a_hypocentre_that_is_none_changes_nothing() -> None:
+    engine = EventEngine(EventConfig(hypocentre=BELOW), OnsetConfig(), "", STATION)
+    before = engine.distance
+    for wrong in ([35.0, 140.0], [95.0, 140.0, 10.0], [float("inf"), 0.0, 0.0]):
+        with pytest.raises(InputError, match="hypocentre"):
+            engine.locate(wrong)
+    assert engine.distance == before
 
 
 def test_bad_settings_are_refused() -> None:

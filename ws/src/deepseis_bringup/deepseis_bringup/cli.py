@@ -13,6 +13,7 @@ from deepseis_bringup.commands import bags as cli_bags
 from deepseis_bringup.commands import commission as cli_commission
 from deepseis_bringup.commands import convert as cli_convert
 from deepseis_bringup.commands import gravimetry as cli_gravimetry
+from deepseis_bringup.commands import hypocentre as cli_hypocentre
 from deepseis_bringup.commands import rtk as cli_rtk
 from deepseis_bringup.commands import runs as cli_runs
 from deepseis_bringup.commands import sim as cli_sim
@@ -92,6 +93,7 @@ for commands in (
     cli_runs,
     cli_station,
     cli_bags,
+    cli_hypocentre,
     cli_convert,
     cli_sim,
     cli_theory,

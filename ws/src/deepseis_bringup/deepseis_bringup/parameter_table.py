@@ -71,7 +71,8 @@ def parameters_page() -> str:
         "# Parameters",
         "",
         "Of every node, with defaults, limits and units; made from the program. In a station's",
-        "file they stand under `parameters: <kind>:`; all are read-only while a node runs.",
+        "file they stand under `parameters: <kind>:`; all are read-only while a node runs, but",
+        "for `hypocentre` of `seismic_event`.",
         "",
     ]
     for package, executable in executables():

@@ -13,6 +13,7 @@ def setting(
     low: float | None = None,
     high: float | None = None,
     choices: tuple[str, ...] = (),
+    live: bool = False,
 ) -> Any:
     """Declare one field of a frozen settings dataclass.
 
@@ -26,8 +27,12 @@ def setting(
         Inclusive limits of a number.
     choices : tuple of str, optional
         The values a text may take.
+    live : bool
+        The node that declares it takes another value while it runs.
     """
-    metadata = {"description": description, "low": low, "high": high, "choices": choices}
+    metadata = {
+        "description": description, "low": low, "high": high, "choices": choices, "live": live,
+    }  # fmt: skip
     if isinstance(default, list):
         return dataclasses.field(default_factory=lambda: list(default), metadata=metadata)
     return dataclasses.field(default=default, metadata=metadata)

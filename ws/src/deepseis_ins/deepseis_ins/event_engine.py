@@ -1,7 +1,8 @@
 """Events: peaks of ground motion as they grow, and a magnitude from the displacement's.
 
 Fed with the fused ground motion as it comes, it reports at the onset, then every `report_s` of
-samples while the event lasts, and once at its end.
+samples while the event lasts, and once at its end. Where the earthquake was is told before the
+run, or in the middle of it, when somebody knows (`EventEngine.locate`).
 """
 
 from __future__ import annotations
@@ -33,8 +34,12 @@ class EventConfig:
         0.5, "before the onset, left out of that and searched for peaks [s]", low=0.0, high=10.0
     )
     hypocentre: list[float] = setting(
-        [], "latitude, longitude [deg], depth [km]; empty: not known, no magnitude"
+        [], "latitude, longitude [deg], depth [km]; empty: not known, no magnitude", live=True
     )
+    hypocentre_valid_s: float = setting(
+        600.0, "one given in mid-run is of events so long before and after that [s]",
+        low=1.0, high=86_400.0,
+    )  # fmt: skip
     least_significance: float = setting(
         5.0, "sigmas of a displacement that gives a magnitude [-]", low=0.0
     )
@@ -69,14 +74,17 @@ class EventEngine:
         except ValueError as error:
             raise InputError("events", str(error)) from None
         self.config, self.onset, self.station = config, onset, station
+        self.station_ecef = station_ecef
         self.distance = pgd.hypocentral_distance(station_ecef, config.hypocentre)
+        self._distance_before, self._located_until_ns = self.distance, -1
         self.detector: OnsetDetector | None = None
         self.event: SeismicEvent | None = None
         self.events = 0
         self._origin: FloatArray = np.zeros(3)
         self._before: deque[FloatArray] = deque()
         self._kept = 0  # rows in it
-        self._reported_ns, self._sd = 0, 0.0
+        self._reported_ns, self._newest_ns, self._sd = 0, 0, 0.0
+        self._last: tuple[Report, float] | None = None  # that ended; the displacement's sigma
 
     def push(self, motion: Displacement) -> list[Report]:
         """Take ground motion in order; that of other sources than the fused one is left out."""
@@ -94,10 +102,41 @@ class EventEngine:
         utc_ns = start_ns + (motion.tow_ns - motion.tow_ns[0])
         return self._follow(rows, utc_ns.tolist(), triggers, motion.interval)
 
+    def locate(self, hypocentre: list[float]) -> list[Report]:
+        """Take where an earthquake was, as soon as it is known.
+
+        It is that of the event in progress or of the last one, which is reported anew, and of
+        what begins soon after: `EventConfig.hypocentre_valid_s`.
+
+        Parameters
+        ----------
+        hypocentre : list of float
+            Latitude, longitude [deg], depth [km]; empty: it was wrong, back to the settings'.
+
+        Raises
+        ------
+        InputError
+            That is no place in the Earth.
+        """
+        distance = pgd.hypocentral_distance(self.station_ecef, hypocentre)
+        within_ns = round(self.config.hypocentre_valid_s * NS)
+        self._located_until_ns = self._newest_ns + within_ns if hypocentre else -1
+        self.distance = distance if hypocentre else self._distance_before
+        if self.event is not None:
+            self.event = _placed(self.event, self.distance)
+            return self._report(self._newest_ns, ended=False)
+        if self._last is None or self._newest_ns - self._last[0].utc_ns > within_ns:
+            return []
+        last, sd = self._last
+        report = Report(self._rated(_placed(last.event, self.distance), sd), last.utc_ns)
+        self._last = report, sd
+        return [report]
+
     def _follow(
         self, rows: FloatArray, utc_ns: list[int], triggers: list[Trigger], interval: float
     ) -> list[Report]:
         reports, done = [], 0
+        self._newest_ns = utc_ns[-1]
         for trigger in triggers:
             self._take(rows[done : trigger.row + 1], interval)
             done = trigger.row + 1
@@ -129,6 +168,8 @@ class EventEngine:
         self._before.clear()
         self._kept = 0
         self.events += 1
+        if utc_ns > self._located_until_ns:
+            self.distance = self._distance_before
         sec, nanosec = divmod(utc_ns, NS)
         name = (
             f"{self.station or 'station'}-{np.datetime64(utc_ns, 'ns').astype('datetime64[ms]')}"
@@ -156,13 +197,27 @@ class EventEngine:
     def _report(self, utc_ns: int, *, ended: bool) -> list[Report]:
         if self.event is None:
             return []
-        event = replace(self.event, ended=ended)
-        if event.peak_displacement > self.config.least_significance * self._sd:
-            event = replace(
-                event,
-                magnitude=pgd.magnitude(event.peak_displacement, self.distance),
-                magnitude_sd=pgd.magnitude_sd(event.peak_displacement, self._sd, self.distance),
-            )
+        event = self._rated(replace(self.event, ended=ended), self._sd)
+        report = Report(event, utc_ns)
         self._reported_ns = utc_ns
         self.event = None if ended else event
-        return [Report(event, utc_ns)]
+        if ended:
+            self._last = report, self._sd
+        return [report]
+
+    def _rated(self, event: SeismicEvent, sd: float) -> SeismicEvent:
+        """Return an event with its magnitude, if its displacement [m] stands out of its sigma."""
+        peak = event.peak_displacement
+        if peak <= self.config.least_significance * sd:
+            return event
+        return replace(
+            event,
+            magnitude=pgd.magnitude(peak, event.hypocentral_distance),
+            magnitude_sd=pgd.magnitude_sd(peak, sd, event.hypocentral_distance),
+        )
+
+
+def _placed(event: SeismicEvent, distance: float) -> SeismicEvent:
+    """Return an event at another distance [m], without a magnitude."""
+    unknown = float("nan")
+    return replace(event, hypocentral_distance=distance, magnitude=unknown, magnitude_sd=unknown)

@@ -1,4 +1,7 @@
-"""Settings dataclasses as ROS parameters: declared once, described, checked, read-only."""
+"""Settings dataclasses as ROS parameters: declared once, described, checked.
+
+They are read-only, but for the few of `setting(live=True)`, whose node takes new values.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,8 @@ _EMPTY_TEXTS, _EMPTY_NUMBERS = [""], [float("nan")]
 
 def _descriptor(item: Any) -> ParameterDescriptor:
     described = ParameterDescriptor(
-        description=item.metadata.get("description", ""), read_only=True
+        description=item.metadata.get("description", ""),
+        read_only=not item.metadata.get("live", False),
     )
     if item.metadata.get("choices"):
         described.additional_constraints = "one of " + ", ".join(item.metadata["choices"])
@@ -53,17 +57,23 @@ def declare(node: Node, config_type: type[Config]) -> Config:
             parameter = node.declare_parameter(item.name, initial, _descriptor(item))
         except (InvalidParameterTypeException, InvalidParameterValueException) as error:
             raise InputError(f"parameter {item.name} of {node.get_name()}", str(error)) from None
-        value = parameter.value
-        if isinstance(value, list) or (hasattr(value, "tolist") and not isinstance(value, str)):
-            # ROS cannot tell the type of an empty list: a blank or NaN stands for it.
-            value = [entry for entry in list(value) if entry != "" and entry == entry]
-        values[item.name] = value
+        values[item.name] = plain(parameter.value)
     try:
         config = config_type(**values)
         check(config)
     except (TypeError, ValueError) as error:
         raise InputError(f"parameters of {node.get_name()}", str(error)) from None
     return config
+
+
+def plain(value: Any) -> Any:
+    """Return a parameter's value; lists without the blank or NaN that stands for an empty one.
+
+    ROS cannot tell the type of an empty list.
+    """
+    if isinstance(value, list) or (hasattr(value, "tolist") and not isinstance(value, str)):
+        return [entry for entry in list(value) if entry != "" and entry == entry]
+    return value
 
 
 def reject_unknown(node: Node) -> None:

@@ -6,18 +6,21 @@ from dataclasses import dataclass
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from deepseis_core.config import setting
 from deepseis_core.counted import CountedInput
+from deepseis_core.errors import InputError
 from deepseis_core.ros import codecs, diagnostics, qos
 from deepseis_core.ros.codecs import subscribe
 from deepseis_core.ros.flow import Flow, FlowConfig
 from deepseis_core.ros.main import Process, run
-from deepseis_core.ros.parameters import declare, reject_unknown
+from deepseis_core.ros.parameters import declare, plain, reject_unknown
 from deepseis_core.sample_clock import SampleClock
 from deepseis_core.types import Displacement
-from deepseis_ins.event_engine import EventConfig, EventEngine
+from deepseis_ins.event_engine import EventConfig, EventEngine, Report
 from deepseis_ins.onset import OnsetConfig
 from deepseis_msgs.msg import SeismicEvent, Watermark
 
@@ -32,7 +35,7 @@ class NodeConfig:
 
 
 class SeismicEventNode(Node):
-    """In: seismo/displacement. Out: seismo/event."""
+    """In: seismo/displacement; parameter ``hypocentre``, also in mid-run. Out: seismo/event."""
 
     def __init__(self, process: Process) -> None:
         super().__init__("seismic_event")
@@ -51,17 +54,36 @@ class SeismicEventNode(Node):
         self.second, self.said = -1, 0
         subscribe(self, codecs.DISPLACEMENT, "seismo/displacement", self.on_motion, qos.STREAM)
         self.flow.follow(["fusion"], self.on_fusion)
+        self.add_on_set_parameters_callback(self.on_parameters)
 
     def on_motion(self, motion: Displacement, _utc_ns: int) -> None:
         """Take ground motion."""
         if not self.flow.admits(motion.valid_through):
             return
-        for report in self.engine.push(motion):
-            self.said += 1
-            self.events.publish(codecs.SEISMIC_EVENT.encode(report.event, report.utc_ns))
+        self.publish(self.engine.push(motion))
         self.report(motion.valid_through)
         self.motion.received()
         self.tell()
+
+    def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Take a hypocentre that was found meanwhile; nothing else can be changed."""
+        for given in parameters:
+            if given.name != "hypocentre":
+                continue
+            if self.flow.ended:
+                return SetParametersResult(successful=False, reason="the run is over")
+            try:
+                self.publish(self.engine.locate(plain(given.value)))
+            except InputError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            self.tell()
+        return SetParametersResult(successful=True)
+
+    def publish(self, reports: list[Report]) -> None:
+        """Publish reports."""
+        for report in reports:
+            self.said += 1
+            self.events.publish(codecs.SEISMIC_EVENT.encode(report.event, report.utc_ns))
 
     def report(self, through: int) -> None:
         """Publish the counters with the first ground motion of a second of samples."""
