@@ -13,7 +13,17 @@ import pytest
 from deepseis_bringup.bags.mcap_recording import BagWriter
 from deepseis_bringup.report import run_report as report
 from deepseis_bringup.report.run_data import RunData
-from deepseis_bringup.report.run_motion import FUSED, GNSS, RTK, events, streams
+from deepseis_bringup.report.run_motion import (
+    FUSED,
+    GNSS,
+    RTK,
+    Moved,
+    errors,
+    events,
+    streams,
+    truth_at,
+)
+from deepseis_bringup.report.run_truth import Truth
 from deepseis_core.geodesy import ecef_from_enu, ecef_from_geodetic
 from deepseis_core.gps_time import GpsTime
 from deepseis_core.ros import codecs
@@ -155,5 +165,29 @@ def test_summary_and_page_tell_the_motion(run: Path) -> None:
     key = "displacement_error_horizontal_m.fused_real_time"
     assert summary[key] == pytest.approx(np.sqrt(2.0) * OFF["fused"], rel=0.02)
     page = (run / "report.html").read_text(encoding="utf-8")
-    for text in ("Ground motion", FUSED, GNSS, RTK, "PGD 0.29 m", "magnitude 6.5", "Peaks as"):
+    told = "The ground moved from 3.0 s on: peak acceleration 0.0408 g, displacement 0.29 m, known"
+    words = ("Ground motion", FUSED, GNSS, RTK, "PGD 0.29 m", "magnitude 6.5", "Peaks as", told)
+    for text in words:
         assert text in page or json.dumps(text)[1:-1] in page, text
+
+
+def test_fused_motion_is_compared_with_the_imu_and_gnss_with_the_antenna(tmp_path: Path) -> None:
+    """A mast of 1 m that leans east by an angle: its top moves, its foot stands."""
+    t = np.arange(0.0, SECONDS, 1e-2)
+    lean = 0.05 * np.sin(t)
+    moved = np.stack([np.sin(lean), 0.0 * t, np.cos(lean)], axis=1)
+    turns = np.stack([0.0 * t, np.sin(lean / 2), 0.0 * t, np.cos(lean / 2)], axis=1)
+    values = {"t_s": t, "motion_t_s": t, "antenna_ecef_m": ecef_from_enu(moved, PLACE)}
+    lever = np.array([0.0, 0.0, 1.0])
+    np.savez(tmp_path / "truth.npz", **values, orientation_xyzw=turns, imu_to_antenna=lever)
+    truth = Truth.read(tmp_path / "truth.npz")
+    assert truth_at(truth, t) == pytest.approx(moved - moved[0], abs=1e-7)
+    assert truth_at(truth, t, of_imu=True) == pytest.approx(0.0, abs=1e-6)
+    still = Moved(t, *(np.zeros((len(t), 3)),) * 4)
+    off = errors({FUSED: still, GNSS: still}, truth)
+    assert np.abs(off[FUSED]).max() < 1e-6
+    assert np.abs(off[GNSS]).max() == pytest.approx(0.05, rel=1e-3)
+    # A truth that does not know where the IMU sits is the antenna's for both.
+    np.savez(tmp_path / "old.npz", **values)
+    off = errors({FUSED: still, GNSS: still}, Truth.read(tmp_path / "old.npz"))
+    assert off[FUSED] == pytest.approx(off[GNSS])

@@ -3,7 +3,9 @@ from pathlib import Path
 
 import pytest
 import yaml
+from typer.testing import CliRunner
 
+from deepseis_bringup.cli import app
 from deepseis_bringup.graph import ALL_SATELLITES, KINDS, build_graph
 from deepseis_bringup.live.web_options import WebOptions
 from deepseis_bringup.station_config import StationConfig, read_station_config, station_config
@@ -81,6 +83,23 @@ def test_files_are_relative_to_the_configuration(tmp_path):
     assert config.parameters["pvt"] == {"nav_file": str(tmp_path / "a/b.rnx"), "rate_hz": 10}
 
 
+def test_a_runs_folder_stands_for_its_bag(tmp_path):
+    bag = tmp_path / "quake" / "bag"
+    bag.mkdir(parents=True)
+    (bag / "bag_0.mcap").touch()
+    text = "source: {file: quake}\nimu: {file: quake}\nbase: {from: quake}"
+    config = read(tmp_path, text)
+    assert config.source["file"] == config.imu["file"] == config.base["from"] == str(bag)
+
+
+def test_the_command_says_what_a_station_without_a_source_lacks(tmp_path):
+    done = CliRunner().invoke(app, ["station", "-o", str(tmp_path / "run")])
+    assert done.exit_code == 2
+    assert "source.file names nothing" in done.output
+    assert "station --example" in done.output
+    assert not (tmp_path / "run").exists()
+
+
 def test_the_graph_gets_what_the_file_says(tmp_path, recording):
     config = read(
         tmp_path,
@@ -119,7 +138,7 @@ def test_an_empty_file_is_a_station_without_a_source(tmp_path):
     config = read(tmp_path, "")
     assert config == StationConfig()
     assert config.satellites == ALL_SATELLITES
-    with pytest.raises(InputError, match="name an IF recording or a bag"):
+    with pytest.raises(InputError, match="names no file"):
         config.graph(tmp_path)
 
 

@@ -279,9 +279,7 @@ def demo(
         )
 
 
-def replay(
-    bag: Path, folder: Path, options: RunOptions, *, title: str = "DeepSeis replay"
-) -> dict[str, Any]:
+def replay(bag: Path, folder: Path, options: RunOptions, *, title: str = "") -> dict[str, Any]:
     """Run the graph again on a recorded bag's samples, with the parameters of the recorded run.
 
     Where the bag lies in a folder with the truth of its simulation, the report compares with it;
@@ -318,6 +316,7 @@ def replay(
     if options.mode == "lockstep" and options.repeat_misses:
         options = with_misses(options, bag)
     figures = run_recording(Selection(str(bag)), folder, options)
+    title = title or f"Replay of {(bag.parent if bag.name == 'bag' else bag).resolve().name}"
     with console.status("writing the report"):
         return write_report(folder, truth=_truth_beside(bag), title=title, extra=figures)
 

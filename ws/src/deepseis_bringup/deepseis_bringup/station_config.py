@@ -12,6 +12,7 @@ from typing import Any
 from deepseis_bringup.alert import AlertConfig, checked
 from deepseis_bringup.bags.archive import ArchiveConfig, free_bytes
 from deepseis_bringup.bags.archive_report import estimate
+from deepseis_bringup.bags.bag_place import bag_of
 from deepseis_bringup.bags.run_records import with_records
 from deepseis_bringup.graph import ALL_SATELLITES, KINDS, GraphConfig
 from deepseis_bringup.live.web_options import WebOptions
@@ -208,14 +209,14 @@ class _Checker:
         if is_live(out.get("file", "")):
             out.setdefault("start_utc", datetime.now(UTC).isoformat(timespec="microseconds"))
         elif out.get("file"):
-            out["file"] = str(self.beside(out["file"]))
+            out["file"] = str(bag_of(self.beside(out["file"])))
         return out
 
     def imu(self, values: dict[str, Any]) -> dict[str, Any]:
         """Return the IMU's file, and how it stands if a grade is given here."""
         if not values.get("file"):
             return {}
-        out: dict[str, Any] = {"file": str(self.beside(values.pop("file")))}
+        out: dict[str, Any] = {"file": str(bag_of(self.beside(values.pop("file"))))}
         if values.get("grade"):
             entries = {key: _entry(value, f"{self.path}: imu") for key, value in values.items()}
             out["installation"] = fill(Installation, Entry(entries, f"{self.path}: imu"))
@@ -256,7 +257,7 @@ class _Checker:
             return {}
         place = [float(value) for value in values.get("position_ecef") or ()]
         self.that(len(place) in (0, 3), f"base.position_ecef is {place}", "x, y, z in metres")
-        found = given if is_address(given) else str(self.beside(given))
+        found = given if is_address(given) else str(bag_of(self.beside(given)))
         return {"from": found, "position_ecef": place}
 
     def files(self, parameters: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:

@@ -185,7 +185,8 @@ class IfBag:
         first = next(self._messages(), None)
         if first is None:
             wanted = topic or f"topic ending in {TOPIC}"
-            raise InputError(self.path, f"holds no IF samples: no message on {wanted}")
+            hint = "`process` and `record_if: false` leave them out: run the recording itself"
+            raise InputError(self.path, f"holds no IF samples: no message on {wanted}", hint)
         block = first.block
         self.topic = self._found
         self.format = IfFormat.from_text(block.format)

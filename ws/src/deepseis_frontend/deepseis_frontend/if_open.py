@@ -61,7 +61,7 @@ def open_source(selection: Selection) -> IfSource:
         There is no such file, or it is not what it is said to be.
     """
     if not selection.file:
-        raise InputError("parameter file", "is empty", "name an IF recording or a bag")
+        raise InputError("source", "names no file", "give file: an IF recording or a bag")
     if is_live(selection.file):
         return _live(selection)
     path = Path(selection.file)

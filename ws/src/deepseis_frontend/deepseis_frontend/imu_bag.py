@@ -47,7 +47,8 @@ class ImuBag:
         self.files = bag_files(path)
         ends = [sample.sample_index for sample in islice(self.samples(), LOOKED_AT)]
         if len(ends) < 2:
-            raise InputError(self.path, f"holds no IMU samples: none on a topic {TOPIC}")
+            reason = f"holds no IMU samples: none on a topic {TOPIC}"
+            raise InputError(self.path, reason, "name the IMU's own log")
         step = float(np.median(np.diff(ends))) / clock.sample_rate_hz
         self.rate_hz = _plain(1.0 / step)
 

@@ -308,4 +308,5 @@ class Bench:
             "accel_bias": truth.accel_bias[0],
             "gyro_matrix": truth.gyro_matrix,
             "accel_matrix": truth.accel_matrix,
+            "imu_to_antenna": np.asarray(self.scenario.lever_arm, np.float64),
         }

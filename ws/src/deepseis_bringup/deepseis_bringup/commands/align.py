@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from deepseis_bringup.commands.common import Bag, add_command, bag_of, one_line_errors
+from deepseis_bringup.bags.bag_place import bag_of
+from deepseis_bringup.commands.common import Bag, add_command, one_line_errors
 
 
 def align(

@@ -19,6 +19,12 @@ FIGURES = (
     "satellites_tracked",
     "time_to_first_fix_s",
     "position_error_m",
+    "slips",
+    "events",
+    "pga_mps2",
+    "pgd_m",
+    "displacement_error_horizontal_m.fused_real_time",
+    "displacement_error_up_m.fused_real_time",
     "real_time_factor",
     "lost_samples",
 )
@@ -73,9 +79,3 @@ def say_figures(summary: dict[str, Any]) -> None:
     for key in FIGURES:
         if key in summary:
             typer.echo(f"{key} = {summary[key]}")
-
-
-def bag_of(path: Path) -> Path:
-    """Return the bag of a run's folder, or the path itself."""
-    inside = path / "bag"
-    return inside if inside.is_dir() and not any(path.glob("*.mcap")) else path

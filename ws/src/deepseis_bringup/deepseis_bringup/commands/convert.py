@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
+from deepseis_bringup.bags.bag_place import bag_of
 from deepseis_bringup.commands.common import (
     Bag,
     add_command,
-    bag_of,
     into_run_folder,
     one_line_errors,
     say,

@@ -8,11 +8,11 @@ from typing import Annotated, Any
 
 import typer
 
+from deepseis_bringup.bags.bag_place import bag_of
 from deepseis_bringup.commands.common import (
     Bag,
     Out,
     add_command,
-    bag_of,
     into_run_folder,
     say_figures,
 )
@@ -219,7 +219,7 @@ def process(
         )
         figures = runs.run_recording(selection, folder, options)
         say_figures(
-            write_report(folder, truth=None, title=f"DeepSeis {if_file.name}", extra=figures)
+            write_report(folder, truth=None, title=f"Recording {if_file.name}", extra=figures)
         )
 
     into_run_folder(output, work)

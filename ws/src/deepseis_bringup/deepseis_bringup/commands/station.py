@@ -59,8 +59,12 @@ def station(
         from deepseis_bringup.runs import console
         from deepseis_bringup.station import run_station
         from deepseis_bringup.station_config import read_station_config
+        from deepseis_core.errors import InputError
 
         settings = read_station_config(config or example_path())
+        if not settings.source.get("file"):
+            hint = "an IF recording, a bag, a device; ./deepseis station --example explains it"
+            raise InputError(config or "no --config", "source.file names nothing", hint)
         page = web_options(web, web_address, web_token_file, web_name, settings.live_page)
         settings = replace(settings, live_page=page)
         with console.status("starting") as status:

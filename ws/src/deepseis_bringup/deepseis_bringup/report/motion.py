@@ -26,6 +26,7 @@ from deepseis_bringup.report.run_motion import (
     AIDED,
     FUSED,
     GNSS,
+    OF_IMU,
     RTK,
     SMOOTHED,
     Event,
@@ -35,12 +36,18 @@ from deepseis_bringup.report.run_motion import (
     streams,
     truth_at,
 )
+from deepseis_bringup.report.run_truth import Truth
+from deepseis_core.types import FloatArray
 
 COLOURS: Final = {name: PALETTE[k] for k, name in enumerate((FUSED, GNSS, RTK, SMOOTHED, AIDED))}
 BRIEF: Final = {
     FUSED: "fused", SMOOTHED: "smoothed", AIDED: "aided", GNSS: "GNSS", RTK: "GNSS, base"
 }  # fmt: skip
 AXES: Final = ("east", "north", "up")
+OF_WHAT: Final = (
+    " Fused motion is that of the IMU, GNSS alone sees the antenna: a tilt of the mount moves "
+    "them apart by its angle times the lever arm."
+)
 PEAKS: Final = (("PGD", "m"), ("PGV", "m/s"), ("PGA", "m/s²"))
 
 
@@ -64,15 +71,15 @@ def _displacement(measures: Measures, moved: Mapping[str, Moved], found: list[Ev
     layout: dict[str, Any] = {"showlegend": True, "hovermode": "closest"}
     layout["legend"] = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0}
     t = np.linspace(start, end, 4000)
-    true = truth_at(measures.truth, t)
+    truths = _truths(measures.truth, t)
     for k, name in enumerate(AXES):
         y_axis = "y" if k == 0 else f"y{k + 1}"
         place = [1 - (k + 1) / 3 + 0.03, 1 - k / 3 - 0.01]
         layout[f"yaxis{y_axis[1:]}"] = axis(f"{name} [m]", domain=place)
-        if true is not None:
+        for name, true in truths.items():
             data.append(
-                line(*envelope(t, true[:, k]), "@muted", name="truth", yaxis=y_axis,
-                     showlegend=k == 0, legendgroup="truth", line={"width": 4})
+                line(*envelope(t, true[:, k]), "@muted", name=name, yaxis=y_axis,
+                     showlegend=k == 0, legendgroup=name, line={"width": 6}, opacity=0.4)
             )  # fmt: skip
         for stream, values in reversed(list(moved.items())):
             shown = envelope(values.t, values.displacement[:, k])
@@ -81,14 +88,25 @@ def _displacement(measures: Measures, moved: Mapping[str, Moved], found: list[Ev
                      showlegend=k == 0, legendgroup=stream)
             )  # fmt: skip
     layout["xaxis"] = time_axis(end, start, anchor="y3")
-    caption = "Displacement from where the antenna was surveyed. " + _told(found)
+    caption = "Displacement from where the station was surveyed to stand. " + _told(found)
+    caption += OF_WHAT if set(moved) & set(OF_IMU) and set(moved) - set(OF_IMU) else ""
     marked = merged(layout, _onsets(found))
     return Figure("Displacement", caption, [Panel(data, marked, 620)])
 
 
+def _truths(truth: Truth | None, t: FloatArray) -> dict[str, FloatArray]:
+    """Return the antenna's truth, and the IMU's if a tilt makes it another by a millimetre."""
+    antenna, imu = truth_at(truth, t), truth_at(truth, t, of_imu=True)
+    if antenna is None or imu is None:
+        return {}
+    if np.abs(imu - antenna).max() < 1e-3:
+        return {"truth": antenna}
+    return {"truth, antenna": antenna, "truth, IMU": imu}
+
+
 def _told(found: list[Event]) -> str:
     if not found:
-        return "No event was reported."
+        return "No event: the acceleration never rose fast enough over what it was before."
     texts = []
     for event in found:
         peaks = ", ".join(

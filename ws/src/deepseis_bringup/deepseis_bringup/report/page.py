@@ -19,6 +19,7 @@ from deepseis_bringup.report.tables import (
     values_table,
 )
 from deepseis_bringup.report.timeline import timeline
+from deepseis_core.imu_grades import STANDARD_GRAVITY
 
 OWN_FILES: Final = ("report.html", "summary.json")
 PROVENANCE: Final = ("version", "input", "sha256", "seed", "mode", "host", "processor")
@@ -110,7 +111,8 @@ def _head(measures: Measures, summary: Mapping[str, Any], title: str) -> str:
 def verdict(measures: Measures, summary: Mapping[str, Any]) -> str:
     """Say in a sentence or two how the run went."""
     tracked = summary["satellites_tracked"]
-    text = f"{tracked} satellite{'' if tracked == 1 else 's'} tracked to phase lock"
+    text = _event(summary)
+    text += f"{tracked} satellite{'' if tracked == 1 else 's'} tracked to phase lock"
     if measures.positions is None:
         text += "; no position."
     else:
@@ -126,6 +128,21 @@ def verdict(measures: Measures, summary: Mapping[str, Any]) -> str:
     if not measures.run.is_whole:
         text += " The recording is cut short or damaged; the report covers what could be read."
     return text
+
+
+def _event(summary: Mapping[str, Any]) -> str:
+    """Say what shook, and how well displacement was found."""
+    if (pgd := summary.get("pgd_m")) is None:
+        return ""
+    more = f" ({summary['events']} events; the greatest)" if summary["events"] > 1 else ""
+    text = f"The ground moved from {summary['onset_s']:.1f} s on{more}: "
+    pga_g = summary["pga_mps2"] / STANDARD_GRAVITY
+    text += f"peak acceleration {pga_g:.3g} g, displacement {pgd:.3g} m"
+    flat = summary.get("displacement_error_horizontal_m.fused_real_time")
+    up = summary.get("displacement_error_up_m.fused_real_time")
+    if flat is not None and up is not None:
+        text += f", known to {1e3 * flat:.1f} mm horizontally and {1e3 * up:.1f} mm upwards (RMS)"
+    return text + ". "
 
 
 def _records(measures: Measures, summary: Mapping[str, Any]) -> str:

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from deepseis_bringup.report.plot import (
+    PALETTE,
     ROW_HEIGHT,
     SIGMA,
     Colours,
@@ -25,7 +26,7 @@ from deepseis_bringup.report.plot import (
 from deepseis_bringup.report.run_measures import Measures, Positions
 from deepseis_core.types import FloatArray
 
-EAST, NORTH, UP = "#3b7dd8", "#2f9e6e", "#d9622b"
+EAST, NORTH, UP = PALETTE[:3]  # as on the other pages
 AXES: Final = (("E", EAST), ("N", NORTH), ("U", UP))
 MOST: Final = 1500  # points of the position scatter
 
@@ -168,7 +169,7 @@ def geometry(measures: Measures) -> Figure | None:
         data.append(trace | {"name": name.upper(), "showlegend": True})
     used = np.bincount(pvt["row"], minlength=pvt.count)
     count = line(*envelope(t, used, 500), "@muted", hover="%{y:.0f} satellites", yaxis="y2")
-    data.append(count | {"name": "satellites used", "showlegend": True})
+    data.append(count)
     data[-1]["line"] = {"color": "@muted", "width": 1.4, "shape": "hv"}
     layout = {
         "xaxis": time_axis(run.duration, _start(measures), anchor="y2"),

@@ -15,6 +15,8 @@ from deepseis_core.geodesy import geodetic_from_ecef, rotation_enu_ecef
 from deepseis_core.types import DisplacementSource, FloatArray, PreciseStatus
 
 FUSED, SMOOTHED = "fused, real time", "fused, smoothed behind a lag"
+OF_IMU = (FUSED, SMOOTHED)
+"""Streams that tell how the IMU moved; the others tell of the antenna."""
 AIDED, GNSS, RTK = "by aided loops", "GNSS only, no base", "GNSS only, against a base"
 
 
@@ -131,21 +133,21 @@ def events(run: RunData) -> list[Event]:
     return found
 
 
-def truth_at(truth: Truth | None, t: FloatArray) -> FloatArray | None:
-    """Return the antenna's true displacement, east, north, up, (m, 3) [m]; None: not known."""
+def truth_at(truth: Truth | None, t: FloatArray, *, of_imu: bool = False) -> FloatArray | None:
+    """Return true displacement of antenna or IMU, ENU, (m, 3) [m]; None: not known."""
     if truth is None or truth.position_t.size < 2:
         return None
-    first = truth.position_ecef[0]
+    first = truth.position_at(truth.position_t[:1], of_imu=of_imu)[0]
     latitude, longitude, _ = geodetic_from_ecef(first)
     turn = np.asarray(rotation_enu_ecef(latitude, longitude))
-    return np.asarray((truth.position_at(t) - first) @ turn.T)
+    return np.asarray((truth.position_at(t, of_imu=of_imu) - first) @ turn.T)
 
 
 def errors(moved: Mapping[str, Moved], truth: Truth | None) -> dict[str, FloatArray]:
-    """Return every stream's displacement less the truth, (m, 3) [m]; empty without a truth."""
+    """Return every stream's displacement less the truth of its point, (m, 3) [m]; or nothing."""
     found = {}
     for name, stream in moved.items():
-        true = truth_at(truth, stream.t)
+        true = truth_at(truth, stream.t, of_imu=name in OF_IMU)
         if true is not None:
             found[name] = stream.displacement - true
     return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from deepseis_bringup.report.run_columns import Columns
 from deepseis_bringup.report.run_data import RunData
 from deepseis_core.errors import InputError
+from deepseis_core.geodesy import geodetic_from_ecef, rotation_enu_ecef
+from deepseis_core.rotation import quat_rotate
 from deepseis_core.types import FloatArray, TrackingFlag
 
 SETTLING: Final = 1.0  # [s] after lock: the loops' transients are no noise
@@ -22,7 +24,11 @@ LONGEST: Final = 20_000  # epochs at which phases are compared
 
 @dataclass(frozen=True)
 class Truth:
-    """Truth of a recording; times [s] since sample 0, arrays (m,) and (m, satellites)."""
+    """Truth of a recording; times [s] since sample 0, arrays (m,) and (m, satellites).
+
+    ``position_ecef`` (m, 3) is the antenna's, ``imu_ecef`` the IMU's, which is another where the
+    mount tilts; it is empty where the simulator did not say where the IMU sits.
+    """
 
     satellites: tuple[str, ...]
     t: FloatArray
@@ -31,6 +37,7 @@ class Truth:
     position_ecef: FloatArray
     elevation: FloatArray
     azimuth: FloatArray
+    imu_ecef: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @classmethod
     def read(cls, path: str | Path) -> Truth:
@@ -60,11 +67,13 @@ class Truth:
             position,
             values.get("elevation", degrees.get("elevation", np.zeros(0))),
             values.get("azimuth", degrees.get("azimuth", np.zeros(0))),
+            _imu(values, position),
         )
 
-    def position_at(self, t: NDArray[Any]) -> FloatArray:
-        """Antenna position [m] at times [s] since sample 0, shape (len(t), 3)."""
-        axes = [np.interp(t, self.position_t, self.position_ecef[:, k]) for k in range(3)]
+    def position_at(self, t: NDArray[Any], *, of_imu: bool = False) -> FloatArray:
+        """Antenna's or IMU's position [m] at times [s] since sample 0, shape (len(t), 3)."""
+        position = self.imu_ecef if of_imu and len(self.imu_ecef) else self.position_ecef
+        axes = [np.interp(t, self.position_t, position[:, k]) for k in range(3)]
         return np.stack(axes, axis=-1)
 
 
@@ -83,6 +92,18 @@ def _antenna(values: Mapping[str, NDArray[Any]]) -> tuple[FloatArray, FloatArray
                 raise InputError(name, "has no times: as many t_s or motion_t_s as rows")
             return times, position
     return np.zeros(0), np.zeros((0, 3))
+
+
+def _imu(values: Mapping[str, NDArray[Any]], antenna: FloatArray) -> FloatArray:
+    """Return where the IMU is (m, 3) [m]: lever arm and attitude lead back from the antenna."""
+    turns, lever = values.get("orientation_xyzw"), values.get("imu_to_antenna")
+    if turns is None or lever is None or turns.shape != (len(antenna), 4) or not len(antenna):
+        return np.zeros((0, 3))
+    latitude, longitude, _ = geodetic_from_ecef(antenna[0])
+    C_enu_e = np.asarray(rotation_enu_ecef(latitude, longitude))
+    return np.asarray(
+        antenna - quat_rotate(turns, np.broadcast_to(lever, antenna.shape)) @ C_enu_e
+    )
 
 
 def is_locked(columns: Columns) -> NDArray[np.bool_]:

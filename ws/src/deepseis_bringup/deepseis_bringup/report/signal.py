@@ -22,6 +22,7 @@ from deepseis_bringup.report.plot import (
 )
 from deepseis_bringup.report.run_measures import Measures
 from deepseis_bringup.report.run_truth import is_settled
+from deepseis_bringup.report.sky_marks import label_places, polar_axes
 
 PULL_IN: Final = 3.0  # [s] shown after the hand-over
 
@@ -42,7 +43,9 @@ def sky(measures: Measures, colours: Colours) -> Figure:
         )
     cn0 = [measures.satellites[s]["cn0_mean_dbhz"] for s in names]
     used = [measures.satellites[s]["used_share"] > 0 for s in names]
-    last = [(measures.sky[s].elevation[-1], measures.sky[s].azimuth[-1]) for s in names]
+    elevation = np.array([measures.sky[s].elevation[-1] for s in names])
+    azimuth = np.array([measures.sky[s].azimuth[-1] for s in names])
+    last = list(zip(elevation.tolist(), azimuth.tolist(), strict=True))
     data.append(
         {
             **{"type": "scatterpolar", "mode": "markers+text", "showlegend": False},
@@ -50,7 +53,7 @@ def sky(measures: Measures, colours: Colours) -> Figure:
             "r": [round(90 - e, 2) for e, _ in last],
             "theta": [round(a, 2) for _, a in last],
             "text": names,
-            "textposition": "top center",
+            "textposition": label_places(elevation, azimuth),
             "textfont": {"size": 11, "color": "@ink"},
             "customdata": [[round(e, 1), round(a, 1)] for e, a in last],
             "hovertemplate": "%{text}: elevation %{customdata[0]}°, azimuth %{customdata[1]}°, "
@@ -65,16 +68,7 @@ def sky(measures: Measures, colours: Colours) -> Figure:
             },
         }
     )
-    polar = {
-        "angularaxis": {
-            **{"direction": "clockwise", "rotation": 90, "tickvals": [0, 90, 180, 270]},
-            "ticktext": ["N", "E", "S", "W"],
-        },
-        "radialaxis": {
-            **{"range": [0, 90], "tickvals": [0, 30, 60, 90], "angle": 45, "tickangle": 45},
-            "ticktext": ["", "60°", "30°", "0°"],
-        },
-    }
+    polar = polar_axes(elevation, azimuth)
     layout = {"polar": polar, "margin": {"l": 34, "r": 10, "t": 30, "b": 30}}
     caption = (
         "Zenith in the middle, horizon at the rim. Filled: used for positions; open: tracked "

@@ -24,9 +24,9 @@ padding-top:14px;border-top:1px solid var(--line)}
 main>h2:first-child{border-top:0;margin-top:20px}
 h3{font-size:15px;margin:0 0 2px;font-weight:640}
 .caption{color:var(--muted);font-size:13.5px;line-height:1.45;margin:0 0 8px;max-width:74ch}
-.tiles{display:grid;grid-template-columns:repeat(4,1fr);gap:1px;background:var(--line);
+.tiles{display:grid;grid-template-columns:repeat(4,1fr);gap:1px;background:var(--card);
 border:1px solid var(--line);border-radius:10px;overflow:hidden}
-.tile{background:var(--card);padding:14px 16px 12px}
+.tile{box-shadow:0 0 0 1px var(--line);padding:14px 16px 12px}
 .tile dt{color:var(--muted);font-size:13px}
 .tile dd{margin:0}
 .tile .value{font-size:26px;font-weight:620;letter-spacing:-.02em;line-height:1.25}

@@ -12,22 +12,21 @@ import numpy as np
 from deepseis_bringup.report.document import Tile
 from deepseis_bringup.report.plot import SIGMA, TIMES, Colours, signed
 from deepseis_bringup.report.run_measures import Measures
+from deepseis_core.imu_grades import STANDARD_GRAVITY
 
 LEVELS: Final = ("ok", "warning", "error", "stale")
 
 
 def tiles(measures: Measures, summary: Mapping[str, Any]) -> list[Tile]:
     """Choose the key figures of a run."""
-    found = [_position(measures, summary), _first_fix(summary), _satellites(summary)]
+    found = [*_motion(summary), _position(measures, summary), _first_fix(summary)]
+    found.append(_satellites(summary))
     cn0 = [v["cn0_mean_dbhz"] for v in measures.satellites.values()]
     cn0 = [v for v in cn0 if np.isfinite(v)]
     if cn0:
         span = f"{min(cn0):.1f} to {max(cn0):.1f} dB-Hz"
         found.append(Tile("C/N0, median", f"{np.median(cn0):.1f}", "dB-Hz", span))
     found.append(_phase(measures, summary))
-    if (pgd := summary.get("pgd_m")) is not None:
-        more = f"PGV {summary['pgv_mps']:.3g} m/s, PGA {summary['pga_mps2']:.3g} m/s²; "
-        found.append(Tile("PGD", f"{pgd:.3f}", "m", more + f"onset {summary['onset_s']:.2f} s"))
     if (factor := summary.get("real_time_factor")) is not None:
         spent = summary.get("graph_time_s") or summary.get("wall_time_s")
         signal = f"{summary['duration_s']:.0f} s of signal"
@@ -38,10 +37,38 @@ def tiles(measures: Measures, summary: Mapping[str, Any]) -> list[Tile]:
     found.append(
         Tile("Samples lost", "?" if lost is None else f"{lost:,}", "", more, bad=gaps > 0)
     )
-    warned = summary["nodes_with_warnings"]
-    more = f"{summary['bag_messages']:,} messages recorded"
-    found.append(Tile("Nodes with warnings", str(warned), "", more, bad=warned > 0))
+    found.append(Tile("Messages recorded", f"{summary['bag_messages']:,}"))
+    found.append(_warnings(measures))
     return found
+
+
+def _motion(summary: Mapping[str, Any]) -> list[Tile]:
+    """Peaks of the greatest event, and how far fused displacement is from the truth."""
+    found = []
+    if (pgd := summary.get("pgd_m")) is not None:
+        more = f"length of the vector; {summary['pga_mps2']:.3g} m/s²"
+        found.append(Tile("PGA", f"{summary['pga_mps2'] / STANDARD_GRAVITY:.3g}", "g", more))
+        more = f"length of the vector; PGV {summary['pgv_mps']:.3g} m/s"
+        found.append(Tile("PGD", f"{pgd:.3f}", "m", more))
+    flat, up = (
+        summary.get(f"displacement_error_{axis}_m.fused_real_time")
+        for axis in ("horizontal", "up")
+    )
+    if flat is not None and up is not None:
+        more = f"fused, horizontal RMS; up {1e3 * up:.2f} mm"
+        found.append(Tile("Displacement error", f"{1e3 * flat:.2f}", "mm", more))
+    return found
+
+
+def _warnings(measures: Measures) -> Tile:
+    """Nodes that ended with a warning, by name; a station that still moves is told, not bad."""
+    last = {status.node: status for status in measures.run.diagnostics if status.node}
+    warned = {node: status.message for node, status in last.items() if status.level > 0}
+    more = (
+        "; ".join(f"{node}: {message}" for node, message in warned.items()) or "at the run's end"
+    )
+    bad = any(node != "motion_state" or last[node].level > 1 for node in warned)
+    return Tile("Nodes with warnings", str(len(warned)), "", more, bad=bad)
 
 
 def _position(measures: Measures, summary: Mapping[str, Any]) -> Tile:

@@ -24,6 +24,7 @@ from deepseis_bringup.report.plot import (
     rows_panel,
     time_axis,
 )
+from deepseis_bringup.report.sky_marks import label_places, polar_axes
 from deepseis_bringup.simulation.figures import marks, moves, plain
 from deepseis_bringup.simulation.pictures import Pictures
 from deepseis_core.constants import CA_RATE_CPS, L1_HZ
@@ -56,7 +57,7 @@ def sky(pictures: Pictures, colours: Colours) -> Figure:
         for k in range(len(pictures.satellites))
     ]
     data += _satellites(pictures.satellites, elevation[-1], azimuth[-1], np.array(mean))
-    polar = _polar(elevation[-1], azimuth[-1])
+    polar = polar_axes(elevation[-1], azimuth[-1])
     layout = {"polar": polar, "margin": {"l": 34, "r": 10, "t": 30, "b": 30}}
     caption = (
         "Zenith in the middle, horizon at the rim; lines show the way of the satellites, marks "
@@ -64,34 +65,6 @@ def sky(pictures: Pictures, colours: Colours) -> Figure:
     )
     caption += "".join(f" {_told(item, duration)}" for item in config.obstructions)
     return Figure("Sky", caption, [Panel(data, layout, 400)], half=True)
-
-
-def _polar(elevation: FloatArray, azimuth: FloatArray) -> dict[str, Any]:
-    """Return axes, the scale written where satellites leave room for it."""
-    low = azimuth[elevation < 75.0]
-    free = np.array([30.0, 45.0, 60.0, 120.0, 135.0, 150.0, 210.0, 225.0, 240.0, 300.0, 330.0])
-    gaps = np.abs((low[None, :] - free[:, None] + 180.0) % 360.0 - 180.0).min(axis=1, initial=180)
-    angle = 90.0 - float(free[np.argmax(gaps)])
-    return {
-        "angularaxis": {
-            **{"direction": "clockwise", "rotation": 90, "tickvals": [0, 90, 180, 270]},
-            "ticktext": ["N", "E", "S", "W"],
-        },
-        "radialaxis": {
-            **{"range": [0, 90], "tickvals": [0, 30, 60, 90], "angle": angle},
-            **{"tickangle": angle, "ticktext": ["", "60°", "30°", ""]},
-        },
-    }
-
-
-def _label_places(elevation: FloatArray, azimuth: FloatArray) -> list[str]:
-    """Put names above the marks, or below where another satellite stands close above."""
-    r, theta = 90.0 - elevation, np.deg2rad(azimuth)
-    x, y = r * np.sin(theta), r * np.cos(theta)
-    aside, above = np.abs(x[None, :] - x[:, None]), y[None, :] - y[:, None]
-    np.fill_diagonal(aside, np.inf)
-    crowded = np.any((aside < 16.0) & (above >= 0.0) & (above < 24.0), axis=1)
-    return ["bottom center" if c else "top center" for c in crowded.tolist()]
 
 
 def _sector(item: Obstruction) -> dict[str, Any]:
@@ -150,7 +123,7 @@ def _satellites(
     names: tuple[str, ...], elevation: FloatArray, azimuth: FloatArray, cn0: FloatArray
 ) -> list[dict[str, Any]]:
     """Draw marks and names, those never received apart from the others."""
-    places, data = _label_places(elevation, azimuth), []
+    places, data = label_places(elevation, azimuth), []
     for received in (True, False):
         chosen = np.flatnonzero(np.isfinite(cn0) == received)
         trace: dict[str, Any] = {
