@@ -121,6 +121,45 @@ def test_aiding_is_waited_for_unless_forced():
     assert tracker.counters["aid_missed"] == 1
 
 
+def aid(through):
+    """Aiding of the block that ends with a sample."""
+    first = through + 1 - COUNT
+    return Aiding(
+        "fusion", first, through, True, first, COUNT // 3, 4, ("G05",), np.zeros(4), np.zeros(4),
+        float("nan"), np.ones(1, np.float32),
+    )  # fmt: skip
+
+
+def test_the_block_after_a_gap_needs_no_aiding_whatever_has_come():
+    """Who makes the aiding waits for observations through the gap: waiting for it is for ever."""
+    outcomes = []
+    for early in (False, True):
+        tracker = engine(wait_acquisition=False, wait_aiding=True)
+        tracker.push_result(result(effective=0))
+        for index in range(3):
+            tracker.push_block(block(index))
+            tracker.push_aiding(aid((index + 1) * COUNT - 1))
+            assert tracker.advance() is not None
+        for index in range(12, 14):
+            tracker.push_block(block(index))
+        if early:
+            for index in range(3, 14):
+                tracker.push_aiding(aid((index + 1) * COUNT - 1))
+        after = tracker.advance()
+        assert [e.satellite for e in after.epochs] == ["G05"]
+        assert after.requests == [("G05", 13 * COUNT)]
+        assert not after.missed
+        if not early:
+            assert tracker.waiting_for() == "aiding", "the next one waits again"
+            for index in range(3, 14):
+                tracker.push_aiding(aid((index + 1) * COUNT - 1))
+        assert tracker.advance() is not None
+        assert tracker.counters["aid_missed"] == 0
+        channel = tracker.channels["G05"]
+        outcomes.append((tracker.health(), after.epochs[0].valid_through, channel.aiding.through))
+    assert outcomes[0] == outcomes[1]
+
+
 @pytest.mark.parametrize("size", [0, 1, 5])
 def test_aiding_whose_tables_do_not_fit_is_refused_not_stumbled_over(size):
     tracker = engine(wait_acquisition=False, wait_aiding=True)

@@ -183,9 +183,17 @@ class TrackingEngine:
         needed = {}
         if self.wait_acquisition and self._slot_of(block) != self.slot >= 0:
             needed["acquisition"] = self._slot_of(block) * self._slot_samples(block)
-        if self.wait_aiding:
+        if self.wait_aiding and not self._follows_a_gap(block):
             needed["aiding"] = block.sample_index + block.sample_count - 1
         return needed
+
+    def _follows_a_gap(self, block: IfBlock) -> bool:
+        """Tell a block before which samples are missing.
+
+        Its channels are dropped, so it has no use for aiding; and who makes the aiding waits for
+        observations, which cannot go on through the gap before this block is done.
+        """
+        return 0 <= self.done_through < block.sample_index - 1
 
     def _there(self) -> dict[str, int]:
         return {"acquisition": self.acquisition.valid_through, "aiding": self.aiding_through}
@@ -225,7 +233,11 @@ class TrackingEngine:
             start = slot * self._slot_samples(block)
             self._hand_over(max(start, block.sample_index), missed.get("acquisition", EVER))
         end = block.sample_index + block.sample_count
-        self._take_aiding(end - 1, missed.get("aiding"))
+        if self._follows_a_gap(block):
+            for channel in self.channels.values():
+                channel.aid_missing(end - 1)
+        else:
+            self._take_aiding(end - 1, missed.get("aiding"))
         slot_end = (slot + 1) * self._slot_samples(block) - 1
         for satellite, channel in self.channels.items():
             active = channel.mode != TrackingMode.IDLE
