@@ -130,3 +130,19 @@ def test_what_comes_late_is_smoothed_as_if_in_time(run: FusionBench, given: Outp
 def test_a_lag_within_which_steps_can_be_undone_is_refused(run: FusionBench) -> None:
     with pytest.raises(InputError, match="can be undone"):
         run.engine(FusionConfig(smoothing_lag_s=2.0))
+
+
+def test_a_lag_of_a_second_has_nearly_all_of_it(run: FusionBench, given: Outputs) -> None:
+    """It takes a shorter memory of what can be undone."""
+    config = FusionConfig(smoothing_lag_s=1.0, undo_s=0.8)
+    short = run.run(run.engine(config, precise=precise_positions(run, rate_hz=10.0)))
+    rms = []
+    for outputs, smoothed in ((short, False), (short, True), (given, True)):
+        motion = joined(outputs, smoothed=smoothed)
+        seconds = (motion["tow_ns"] - run.bench.start.tow_ns) * 1e-9
+        inside = (seconds > ONSET + 2.0) & (seconds < SECONDS - LAG - 1.0)
+        error = (motion["displacement"] - truth(run, motion["tow_ns"]))[inside]
+        rms.append(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+    forward, second, longer = rms
+    assert second < 0.9 * forward
+    assert second < longer + 0.3 * (forward - longer)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,13 +11,14 @@ from unit.ins import loose_runs as runs
 from unit.ins.test_ldv import CIRCLE, LEVER, TRUE, measured
 
 from deepseis_core import rotation
-from deepseis_core.errors import InputError
 from deepseis_core.imu_grades import grade_named
 from deepseis_core.kalman import chi_square_band
+from deepseis_ins import error_state as es
 from deepseis_ins import ldv, ldv_filter
 from deepseis_ins import measurements as ms
 from deepseis_ins.ldv_filter import LdvFilter, Unknowns
 from deepseis_ins.loose import LooseConfig, LooseFilter
+from deepseis_ins.smoother import smooth
 from deepseis_ins.strapdown import NavState
 
 UNITS, SECONDS, COVERED, RATE_HZ = 8, 24, 14, 2
@@ -35,14 +37,18 @@ class Driven:
         lever = SD[2] * self.rng.standard_normal(3)
         self.error = ANGLES * self.rng.standard_normal(3)
         self.hat = replace(TRUE.corrected(-self.error), lever_arm_b=LEVER + lever)
-        self.filter = None
+        self.filter, self.beyond = None, []
         make = partial(LdvFilter, unknowns=UNKNOWNS)
-        self.run = runs.fly(self.unit, SECONDS, self.told, seed=seed, rate_hz=RATE_HZ, make=make)
+        self.run = runs.fly(
+            self.unit, SECONDS, self.told, seed=seed, rate_hz=RATE_HZ, make=make, smoothing=True
+        )
 
     def told(self, loose, time, _C_ref, noise):
         if self.filter is None:
             self.filter = loose
             loose.refer_constants(ANGLES)
+        else:
+            self.beyond.append(self.errors_beyond())
         walk = np.repeat(GROWTH, 3) * np.sqrt(1.0 / RATE_HZ)
         self.slow = self.slow + walk * self.rng.standard_normal(6)
         if time <= COVERED and abs(time - round(time)) < 1e-9:
@@ -61,15 +67,19 @@ class Driven:
         swing = ldv.lever_sensitivity(C, loose.omega_ib_b, loose.nav.latitude)
         return ldv_filter.sensitive(found, ldv_filter.LEVER, swing)
 
+    def errors_beyond(self):
+        """Return the errors of what is known of GNSS and the lever arm, shape (9,)."""
+        lever = self.hat.lever_arm_b - LEVER - self.filter._beyond[ldv_filter.LEVER]
+        return np.hstack([self.filter.gnss_errors - self.slow, lever])
+
     def at_end(self):
         """Return the errors of all 27 that are estimated, and their covariance."""
         x, _ = self.run.at(SECONDS)
-        off = self.filter.gnss_errors - self.slow
-        lever = self.hat.lever_arm_b - LEVER - self.filter.take_lever()
+        beyond = self.errors_beyond()
         estimate, _ = self.filter.take_constants()
         self.filter._complete()
         P = self.filter._joined()[:27, :27]
-        return np.hstack([x, off, lever, self.error - estimate]), P
+        return np.hstack([x, beyond, self.error - estimate]), P
 
 
 @pytest.fixture(scope="module")
@@ -179,6 +189,49 @@ def test_a_lever_arms_sensitivity_is_what_perturbation_gives():
         assert_allclose(swing[:, k], predicted - C @ [0.0, slip, 0.0], atol=1e-15)
 
 
-def test_a_smoother_is_refused():
-    with pytest.raises(InputError, match="cannot be smoothed"):
-        new(LdvFilter, unknowns=UNKNOWNS, smoothing=True)
+def test_smoothed_errors_are_smaller_and_as_large_as_it_says(driven):
+    """24 errors of 8 units at two times while there is GNSS and one after; bands of 95 % of all.
+
+    What is beyond the 15 states is smoothed with them.
+    """
+    times, squares = (4.0, 10.0, 18.0), []
+    left, forward = [], []
+    for one in driven:
+        got = smooth(one.run.steps)
+        # The first step is the start, where the constants were told.
+        first = len(one.run.steps) - len(one.run.step_errors)
+        for time in times:
+            k = round(time * RATE_HZ) - 1
+            error = np.hstack([one.run.step_errors[k], one.beyond[k]])
+            after, P = error - got.error[first + k, :24], got.P[first + k, :24, :24]
+            squares.append(after @ np.linalg.solve(P, after))
+            left.append(after)
+            forward.append(error)
+    low, high = chi_square_band(24, UNITS, 1.0 - 0.05 / len(times))
+    for k, time in enumerate(times):
+        assert low < np.mean(squares[k :: len(times)]) < high, time
+    gain = np.sqrt(np.mean(np.square(left), axis=0) / np.mean(np.square(forward), axis=0))
+    assert gain[es.VEL].max() < 0.85
+    assert gain[es.ACCEL][2] < 0.7
+
+
+def test_transitions_carry_what_the_covariance_carries():
+    """What noise adds is noise of the 15 states and of the slow errors alone, and not negative."""
+    filter_, steps = new(LdvFilter, unknowns=UNKNOWNS, smoothing=True), []
+    for k in range(8):
+        turn = np.tile([2e-3, -1e-3, 3e-3], (40, 1))
+        filter_.propagate(turn, np.tile([0.02, 0.01, -0.0489], (40, 1)), 0.005)
+        swing = ldv.lever_sensitivity(runs.C_TRUE, filter_.omega_ib_b, runs.LAT)
+        plain = ms.zero_velocity(filter_.nav, 5e-3)
+        filter_.update(ldv_filter.sensitive(plain, ldv_filter.LEVER, swing))
+        if k % 3 == 0:
+            fix = ms.gnss_position(filter_.nav, runs.SITE.origin_ecef, np.eye(3), runs.LEVER)
+            filter_.update(ldv_filter.of_gnss(fix, ldv_filter.POSITION_OFF))
+        steps += filter_.take_steps()
+    grown = np.repeat(np.square(GROWTH), 3) * 0.2
+    for last, step in pairwise(steps):
+        noise = step.before - step.transition @ last.after @ step.transition.T
+        assert_allclose(np.diag(noise)[15:21], grown, rtol=1e-6)
+        assert_allclose(noise[21:], 0.0, atol=1e-15)
+        scale = np.sqrt(np.maximum(np.diag(step.before), 1e-30))
+        assert np.linalg.eigvalsh(noise / np.outer(scale, scale))[0] > -1e-12

@@ -106,7 +106,8 @@ class FusionEngine(FusionInputs):
             raise InputError("fusion", "needs gyroscopes, this grade of IMU has none")
         if 0.0 < config.smoothing_lag_s <= config.undo_s:
             reason = f"is {config.smoothing_lag_s:g} s, and {config.undo_s:g} s can be undone"
-            raise InputError("smoothing_lag_s", reason, "more than undo_s, or 0")
+            hint = "more than undo_s, which may be shorter, or 0"
+            raise InputError("smoothing_lag_s", reason, hint)
         super().__init__(config, grade, sample_rate_hz, imu_rate_hz, script)
         self.config, self.grade = config, grade
         self.loose, self.site = loose or LooseConfig(), Site.of(station)

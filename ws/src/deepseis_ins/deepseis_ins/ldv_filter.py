@@ -24,7 +24,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deepseis_core.errors import InputError
 from deepseis_core.imu_grades import ImuGrade
 from deepseis_core.types import FloatArray
 from deepseis_ins import loose_kernels
@@ -114,7 +113,7 @@ class LdvFilter(LooseFilter):
     Parameters
     ----------
     config, grade, nav
-        As `LooseFilter`'s, and so are further keywords; it cannot be smoothed.
+        As `LooseFilter`'s, and so are further keywords.
     unknowns : Unknowns
     """
 
@@ -130,8 +129,6 @@ class LdvFilter(LooseFilter):
         unknowns: Unknowns,
         **given: Any,
     ) -> None:
-        if given.get("smoothing"):
-            raise InputError("filter of a vehicle", "cannot be smoothed")
         self._beyond, self._age = np.zeros(BEYOND), 0.0
         self._growth2 = np.repeat(np.square([*unknowns.growth, 0.0]), 3)
         super().__init__(config, grade, nav, **given)
@@ -197,6 +194,11 @@ class LdvFilter(LooseFilter):
             k = np.arange(CONSTANTS, CONSTANTS + BEYOND)
             self._B[k, k] += self._age * self._growth2
             self._age = 0.0
+
+    def _joint_transition(self) -> FloatArray:
+        T, known = np.eye(self._joint), STATES + CONSTANTS
+        T[:STATES, :known] = self._transition
+        return np.ascontiguousarray(T[np.ix_(_ORDER, _ORDER)])
 
     def _joined(self) -> FloatArray:
         """Return the covariance of states, what is beyond, and constants, shape (45, 45)."""
