@@ -16,7 +16,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
-from fuzz_targets import check, damaged, prepare, targets
+from fuzz_outside import all_targets
+from fuzz_targets import check, damaged, prepare
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import seed as seeded
 
@@ -58,7 +59,9 @@ def main():
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("readers", nargs="*")
     options = parser.parse_args()
-    chosen = {n: t for n, t in targets().items() if not options.readers or n in options.readers}
+    chosen = {
+        n: t for n, t in all_targets().items() if not options.readers or n in options.readers
+    }
     counts, found = Counter(), {}
     began, seed = time.monotonic(), options.seed
     while time.monotonic() - began < 60 * options.minutes:

@@ -3,7 +3,8 @@
 import os
 
 import pytest
-from fuzz_targets import check, damaged, prepare, targets
+from fuzz_outside import all_targets
+from fuzz_targets import check, damaged, prepare
 from hypothesis import HealthCheck, given, settings
 
 LONG = os.environ.get("DEEPSEIS_FUZZ") == "long"
@@ -14,7 +15,7 @@ PROFILE = settings(
     database=None,
     suppress_health_check=list(HealthCheck),
 )
-TARGETS = targets()
+TARGETS = all_targets()
 
 
 @pytest.mark.timeout(0 if LONG else 120)

@@ -1,12 +1,15 @@
 """What operators install: systemd units, the Foxglove layout, the table of parameters."""
 
 import json
+import re
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+import typer
 
+from deepseis_bringup.cli import app
 from deepseis_bringup.graph import TYPES, GraphConfig, build_graph
 from deepseis_bringup.parameter_table import declared_settings, executables, parameters_page
 
@@ -23,7 +26,7 @@ def test_systemd_has_nothing_to_say_of_the_units(tmp_path):
             text = text.replace("=deepseis\n", "=root\n")
             (tmp_path / path.name.replace("@.", "@test.")).write_text(text)
     units = sorted(tmp_path.iterdir())
-    assert len(units) == 3
+    assert len(units) == 4
     said = subprocess.run(
         ["systemd-analyze", "verify", "--man=no", *map(str, units)],
         capture_output=True, text=True, timeout=60, check=False,
@@ -93,3 +96,15 @@ def test_every_number_has_its_unit():
         if type(item.default) is float and "[" not in item.description
     }
     assert not without
+
+
+def test_the_exporters_unit_gives_options_that_the_command_knows():
+    unit = (OPS / "deepseis-export@.service").read_text()
+    (start,) = re.findall(r"^ExecStart=/opt/deepseis/deepseis (.*)$", unit, re.MULTILINE)
+    (example,) = re.findall(r"EXPORT_OPTIONS=(.*)$", unit, re.MULTILINE)
+    words = start.replace("$EXPORT_OPTIONS", example).replace("%i", "kobe").split()
+    group = typer.main.get_command(app)
+    context = group.make_context("deepseis", list(words))
+    name, command, rest = group.resolve_command(context, words)
+    given = command.make_context(name, rest, parent=context).params
+    assert (given["station"], given["datalink"]) == ("KOBE", "localhost:16000")

@@ -234,6 +234,9 @@ def test_the_imu_and_how_it_stands(tmp_path, recording):
         read(tmp_path, text + imu.replace("imu_to_antenna", "lever"))
     without = read(tmp_path, text).graph(tmp_path / "run")
     assert without.aiding == ""
+    ldv = read(tmp_path, f"{text}{imu}\nparameters: {{fusion: {{coupling: ldv}}}}")
+    with pytest.raises(InputError, match="takes the velocimeter from the source's bag"):
+        build_graph(ldv.graph(tmp_path / "run"))
 
 
 def test_the_file_says_where_the_live_page_is(tmp_path):

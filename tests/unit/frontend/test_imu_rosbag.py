@@ -1,59 +1,15 @@
 """IMU samples of bags that others recorded: ROS 1, ROS 2 in SQLite and MCAP."""
 
+import re
+
 import numpy as np
 import pytest
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
+from others_bags import CLOCK, COUNT, STEP_NS, forces, write
 
 from deepseis_bringup.inertial import installed_parameters
 from deepseis_core.errors import InputError
-from deepseis_core.sample_clock import SampleClock
 from deepseis_frontend.imu_open import open_imu
 from deepseis_frontend.imu_rosbag import ImuRosbag
-
-CLOCK = SampleClock(1_700_000_000_000_000_000, 4e6)
-STEP_NS = 10_000_000
-COUNT = 50
-
-
-def forces():
-    return 9.8 * np.array([0.0, 0.0, 1.0]) + 0.01 * np.arange(COUNT)[:, None]
-
-
-def imu_message(store, stamp_ns, force, first):
-    types = store.types
-    vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
-    time = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000))
-    header = types["std_msgs/msg/Header"](*first, stamp=time, frame_id="imu")
-    nothing = np.zeros(9)
-    return types["sensor_msgs/msg/Imu"](
-        header, quaternion(0.0, 0.0, 0.0, 1.0), nothing, vector(0.1, 0.2, 0.3), nothing,
-        vector(*map(float, force)), nothing,
-    )  # fmt: skip
-
-
-def write(kind, folder, topics=("/imu/data",), late_ns=0):
-    """Write a bag; stamps in headers, logged ``late_ns`` after."""
-    is_ros1 = kind == "bag"
-    store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
-    path = folder / ("a.bag" if is_ros1 else "a")
-    if is_ros1:
-        writer = Writer1(path)
-    else:
-        plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-        writer = Writer2(path, version=9, storage_plugin=plugin)
-    with writer:
-        known = [writer.add_connection(t, "sensor_msgs/msg/Imu", typestore=store) for t in topics]
-        for k, force in enumerate(forces()):
-            stamp = CLOCK.start_utc_ns + (k + 1) * STEP_NS
-            message = imu_message(store, stamp, force, (k,) if is_ros1 else ())
-            serialise = store.serialize_ros1 if is_ros1 else store.serialize_cdr
-            raw = serialise(message, "sensor_msgs/msg/Imu")
-            for connection in known:
-                writer.write(connection, stamp + late_ns, raw)
-    return path
 
 
 @pytest.fixture(params=["bag", "db3", "mcap"])
@@ -129,4 +85,15 @@ def test_accelerations_without_gravity_are_refused(tmp_path, monkeypatch):
     describe(path, "topic: /imu/data")
     monkeypatch.setattr("deepseis_frontend.imu_file.PLAUSIBLE", (20.0, 60.0))
     with pytest.raises(InputError, match="specific force of"):
+        open_imu(path, CLOCK)
+
+
+def test_a_damaged_bag_is_refused_in_one_line(tmp_path):
+    """Its reader stumbles over a date where it adds numbers."""
+    path = write("db3", tmp_path)
+    beside = path / "metadata.yaml"
+    damaged = re.sub(r"(nanoseconds_since_epoch:) \d+", r"\1 2021-02-03", beside.read_text())
+    assert "2021-02-03" in damaged
+    beside.write_text(damaged)
+    with pytest.raises(InputError, match="cannot be read as a bag"):
         open_imu(path, CLOCK)

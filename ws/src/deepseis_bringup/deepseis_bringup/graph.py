@@ -7,10 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
+from deepseis_core.errors import InputError
 from deepseis_core.imu_grades import grade_named
 from deepseis_core.interface import SHARED_TOPICS
+from deepseis_frontend.imu_open import is_bag
 
 ALL_SATELLITES = tuple(f"G{prn:02d}" for prn in range(1, 33))
 
@@ -345,11 +348,15 @@ def _inertial(config: GraphConfig) -> list[NodeSpec]:
         "seismic_event",
         {"sample_rate_hz": config.sample_rate_hz},
     )
-    ldv = [_velocimeter(config)] * (config.coupling == "ldv")
+    ldv = [_velocimeter(config)] if config.coupling == "ldv" else []
     return [imu_source, *ldv, motion_state, fusion, events]
 
 
 def _velocimeter(config: GraphConfig) -> NodeSpec:
+    file = str(config.source["file"])
+    if not is_bag(Path(file)):
+        reason = f"takes the velocimeter from the source's bag, and {file or 'the source'} is none"
+        raise InputError("coupling ldv", reason, "a bag that holds ldv/velocity")
     return NodeSpec(
         "ldv_source",
         "deepseis_frontend",
@@ -358,7 +365,7 @@ def _velocimeter(config: GraphConfig) -> NodeSpec:
         ("ldv/velocity", "/diagnostics"),
         (),
         "ldv_source",
-        {"file": config.source["file"]},
+        {"file": file},
     )
 
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import csv
 import math
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -174,7 +175,8 @@ class ImuFile:
             return None
         path = self.path.parent / given.triggers
         try:
-            pairs = np.loadtxt(path, delimiter=",", comments="#", ndmin=2)
+            with warnings.catch_warnings(action="ignore", category=UserWarning):  # it is empty
+                pairs = np.loadtxt(path, delimiter=",", comments="#", ndmin=2)
         except (OSError, ValueError) as error:
             reason = " ".join(str(error).split())
             raise InputError(path, f"holds no pairs of counts: {reason}") from None

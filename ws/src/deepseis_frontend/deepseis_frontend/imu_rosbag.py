@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from deepseis_core.config import setting
@@ -137,12 +137,9 @@ class ImuRosbag:
                     yield (header_ns if by_header else int(log_ns)), message
         except InputError:
             raise
-        except (AnyReaderError, OSError, ValueError, KeyError) as error:
-            raise InputError(self.path, f"cannot be read as a bag: {error}") from None
-        except Exception as error:  # readers of three formats have errors of their own
-            if type(error).__module__.startswith(("rosbags", "sqlite3", "mcap", "struct")):
-                raise InputError(self.path, f"cannot be read as a bag: {error}") from None
-            raise
+        except Exception as error:  # readers of three formats, whose damage shows in any way
+            reason = f"cannot be read as a bag: {str(error) or type(error).__name__}"
+            raise InputError(self.path, reason) from None
 
     def _chosen(self, reader: AnyReader) -> Any:
         known = [item for item in reader.connections if item.msgtype == TYPE]
