@@ -135,6 +135,35 @@ def test_damage_in_the_middle_costs_the_chunks_that_it_touches(
         assert kept[topic] == sorted(kept[topic])
 
 
+@pytest.mark.parametrize("hurt", [0, 5, COUNT - 1])
+@pytest.mark.parametrize("opcode", [*range(1, 17), 0x80, 0xFF])
+def test_a_chunk_that_calls_itself_another_record_is_lost_alone_and_said(
+    whole, tmp_path_factory, opcode, hurt
+):
+    """As the file's end (2, 15) it hid all behind it; as an index (7, 8) it was passed over."""
+    if opcode == Opcode.CHUNK:
+        return
+    data, records = whole
+    spoilt = bytearray(data)
+    spoilt[chunks(records)[hurt][0]] = opcode
+    folder = folder_with(tmp_path_factory, spoilt)
+    [result] = recover_bag(folder)
+    assert not result.was_whole
+    assert found(folder / "bag_0.mcap") == expected([k for k in range(COUNT) if k != hurt])
+    told = {loss.topic: loss.count for loss in result.losses}
+    assert told == ({"/a": -1, "/b": -1} if hurt == COUNT - 1 else {"/a": 2, "/b": 1})
+
+
+@pytest.mark.parametrize("opcode", [Opcode.FOOTER, Opcode.DATA_END])
+def test_who_reads_no_damage_is_told_of_an_end_that_is_none(whole, tmp_path_factory, opcode):
+    data, records = whole
+    spoilt = bytearray(data)
+    spoilt[chunks(records)[5][0]] = opcode
+    folder = folder_with(tmp_path_factory, spoilt)
+    with pytest.raises(InputError, match="is damaged at byte"):
+        found(folder / "bag_0.mcap")
+
+
 @pytest.mark.parametrize("hurt", [[0], [5], [COUNT - 1], [0, 1, 2], range(1, COUNT)])
 def test_a_checksum_that_became_zero_is_damage(whole, tmp_path_factory, hurt):
     data, records = whole

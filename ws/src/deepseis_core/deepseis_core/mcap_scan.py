@@ -39,6 +39,8 @@ RECORD_HEAD: Final = struct.Struct("<BQ")
 CHUNK_HEAD: Final = struct.Struct("<QQQII")
 CHUNK_TIMES: Final = struct.Struct("<QQ")
 LAST_OPCODE: Final = int(Opcode.DATA_END)
+ENDS: Final = {(int(Opcode.DATA_END), 4), (int(Opcode.FOOTER), 20)}
+"""Opcode and length of what ends the data; a chunk whose opcode is damaged has another length."""
 PRIVATE_OPCODE: Final = 0x80  # opcodes from here on are for others' use, and skipped
 CHUNK_START: Final = re.compile(
     rb"\x06(?=(.{8}.{28}(?:\x04\x00{3}zstd|\x03\x00{3}lz4|\x00{4})))", re.DOTALL
@@ -154,17 +156,17 @@ class McapScan:
                 start = file.tell()
                 head = file.read(RECORD_HEAD.size)
                 opcode, length = RECORD_HEAD.unpack(head.ljust(RECORD_HEAD.size, b"\0"))
-                if opcode in (Opcode.DATA_END, Opcode.FOOTER) and length <= size - file.tell():
+                if (opcode, length) in ENDS and length <= size - file.tell():
                     if self._damage and self._found_chunk(file, trusted, size):
                         continue
                     return
-                unknown = opcode == 0 or LAST_OPCODE < opcode < PRIVATE_OPCODE
+                unknown = _is_unknown(opcode, length)
                 is_short = len(head) < RECORD_HEAD.size
                 if is_short or unknown or length > size - file.tell():
                     if self._found_chunk(file, trusted, size):
                         continue
                     if not is_short:
-                        self._require_cut(file, start, opcode)
+                        self._require_cut(file, start, 255 if unknown and opcode else opcode)
                     self.cut_at = start
                     return
                 try:
@@ -315,6 +317,13 @@ class McapScan:
             yield Message(channel, log_time, publish_time, sequence, record[MESSAGE_HEAD.size :])
 
 
+def _is_unknown(opcode: int, length: int) -> bool:
+    """Tell whether no record begins like this."""
+    if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+        return (opcode, length) not in ENDS
+    return opcode == 0 or LAST_OPCODE < opcode < PRIVATE_OPCODE
+
+
 def _require_mcap(path: Path) -> None:
     try:
         with path.open("rb") as file:
@@ -357,9 +366,9 @@ def _chunks_with_checksum(file: BinaryIO) -> Iterator[bytes]:
         file.seek(place)
         opcode, length = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size).ljust(9, b"\0"))
         end = place + RECORD_HEAD.size + length
-        if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+        if (opcode, length) in ENDS:
             return
-        if opcode == 0 or LAST_OPCODE < opcode < PRIVATE_OPCODE or end > size:
+        if _is_unknown(opcode, length) or end > size:
             place = _next_chunk(file, place + 1, size) or size
             continue
         if opcode == Opcode.CHUNK and CHUNK_HEAD.size <= length <= RECORD_LIMIT:

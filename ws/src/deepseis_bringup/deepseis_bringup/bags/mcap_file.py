@@ -23,6 +23,7 @@ from mcap import records
 
 from deepseis_bringup.bags.full_disk import Dropped, FullDisk
 from deepseis_bringup.bags.mcap_layout import Chunk, Single, Summary, record_bytes
+from deepseis_bringup.bags.spilled_bytes import SpilledBytes
 from deepseis_bringup.bags.whole_writes import WholeWrites
 from deepseis_core.errors import DiskError, InputError
 from deepseis_core.mcap_scan import MAGIC, Channel
@@ -76,7 +77,7 @@ class McapFile:
         if compression not in COMPRESSIONS:
             raise InputError("compression", f"{compression!r} is not one of {COMPRESSIONS}")
         self.path = path
-        self._summary = Summary()
+        self._summary = Summary(SpilledBytes(path.parent))
         self._compression = "" if compression == "none" else compression
         compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
         self._compress = compressor.compress if self._compression else None
@@ -203,6 +204,7 @@ class McapFile:
             self._out.guard = None  # what waits and the index are small
             self._wake.notify_all()
         self._thread.join()
+        self._summary.chunks.close()
         try:
             self._out.close()
         except OSError as error:

@@ -12,6 +12,7 @@ from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
+from deepseis_bringup.bags.spilled_bytes import SpilledBytes
 from deepseis_bringup.bags.whole_writes import WholeWrites
 from deepseis_core.mcap_scan import MAGIC, MESSAGE_HEAD, RECORD_HEAD, Channel
 
@@ -135,19 +136,19 @@ class Summary:
         Messages by number of the topic.
     start_ns, end_ns : int
         First and last log time of a message [ns].
-    chunks : bytearray
-        Records of the chunks, as they stand in the file: a recorder that writes five a second for
-        days keeps them all until its file is closed, and objects would take seven times as much.
+    chunks : SpilledBytes
+        Records of the chunks, as they stand in the file: five a second, for days, until it is
+        closed.
     chunk_count : int
     entries : list
         Of the records outside chunks.
     """
 
+    chunks: SpilledBytes
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: dict[int, int] = field(default_factory=dict)
     start_ns: int = 2**63 - 1
     end_ns: int = 0
-    chunks: bytearray = field(default_factory=bytearray)
     chunk_count: int = 0
     entries: list[records.MetadataIndex | records.AttachmentIndex] = field(default_factory=list)
     _schemas: dict[tuple[str, bytes], records.Schema] = field(default_factory=dict)
@@ -169,7 +170,7 @@ class Summary:
 
     def add_chunk(self, record: bytes) -> None:
         """Take what `Chunk.put` returned."""
-        self.chunks += record
+        self.chunks.add(record)
         self.chunk_count += 1
 
     def count(self, channel: int, log_time_ns: int) -> int:
@@ -211,7 +212,7 @@ class Summary:
             (Opcode.SCHEMA, together(self._schemas.values())),
             (Opcode.CHANNEL, together(map(self._channel, self.channels.values()))),
             (Opcode.STATISTICS, together([self._statistics(len(metadata), len(attachments))])),
-            (Opcode.CHUNK_INDEX, bytes(self.chunks)),
+            (Opcode.CHUNK_INDEX, self.chunks.take()),
             (Opcode.ATTACHMENT_INDEX, together(attachments)),
             (Opcode.METADATA_INDEX, together(metadata)),
         ]
