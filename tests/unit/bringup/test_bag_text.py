@@ -86,6 +86,17 @@ def test_recovery_says_what_was_lost():
     ]
 
 
+def test_topics_that_end_together_are_told_in_one_line():
+    ends = [Loss(f"/t{k}", -1, START + k * 10**8, 0) for k in range(5)]
+    lone, inside = Loss("/station", -1, START - 60 * 10**9, 0), Loss("/pvt", 3, START, START + 1)
+    cut = Recovery(Path("b"), False, 7, 0, 100, 0, None, (lone, *ends, inside))
+    assert recovery_lines([cut])[1:] == [
+        "  5 topics: nothing after 2022-01-01 00:00:00.000 UTC to 2022-01-01 00:00:00.400 UTC",
+        "  /station: nothing after 2021-12-31 23:59:00.000 UTC",
+        "  /pvt: 3 lost between 2022-01-01 00:00:00.000 UTC and 2022-01-01 00:00:00.000 UTC",
+    ]
+
+
 @pytest.mark.parametrize(
     ("count", "text"), [(0, "0 B"), (999, "999 B"), (999_600, "1 MB"), (2.5e12, "2.5 TB")]
 )

@@ -2,7 +2,8 @@
 
 import pytest
 
-from deepseis_bringup.run_folder import new_run_folder
+from deepseis_bringup.run_folder import half_written_is_removed, new_run_folder
+from deepseis_bringup.supervisor import StandstillError
 from deepseis_core.errors import InputError
 
 
@@ -18,3 +19,17 @@ def test_a_new_or_empty_folder_is_taken_and_what_is_there_is_left_alone(tmp_path
     for taken, reason in ((tmp_path, "not empty"), (tmp_path / "file", "is a file")):
         with pytest.raises(InputError, match=reason):
             new_run_folder(taken)
+
+
+@pytest.mark.parametrize(("error", "kept"), [(StandstillError, True), (InputError, False)])
+def test_what_a_standstill_left_is_kept_for_who_looks_why(tmp_path, error, kept):
+    folder = tmp_path / "run"
+
+    def work():
+        with half_written_is_removed(folder):
+            (folder / "trackers.log").write_text("waits")
+            raise error("graph", "nothing has moved")
+
+    with pytest.raises(error):
+        work()
+    assert folder.exists() == kept

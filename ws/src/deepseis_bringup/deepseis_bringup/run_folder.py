@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
-from deepseis_bringup.supervisor import NodeFailureError
+from deepseis_bringup.supervisor import NodeFailureError, StandstillError
 from deepseis_core.errors import DiskError, InputError
 
 
@@ -32,9 +32,9 @@ def new_run_folder(chosen: Path | None) -> Path:
 
 
 def is_worth_keeping(folder: Path, error: BaseException) -> bool:
-    """Whether a failed run is a record of something: of a node's failure, or of samples."""
+    """Whether a failed run is a record of something: a failure, a standstill, samples."""
     if isinstance(error, InputError):
-        return isinstance(error, (NodeFailureError, DiskError))
+        return isinstance(error, (NodeFailureError, StandstillError, DiskError))
     return any(path.stat().st_size > 65536 for path in folder.glob("bag/*.mcap"))
 
 

@@ -230,6 +230,10 @@ class NodeFailureError(InputError):
         super().__init__(f"node {name}", f"{how}: {line}", f"log: {log}")
 
 
+class StandstillError(InputError):
+    """The graph stands still, though all its nodes live: what it left says who waits for whom."""
+
+
 @contextmanager
 def running(supervisor: Supervisor) -> Iterator[Supervisor]:
     """Start the graph; end it whatever happens; what fails at the end is an error too."""

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from deepseis_bringup.graph import ONLOOKER
 from deepseis_bringup.restart_report import RestartReport
 from deepseis_bringup.restarts import Restarts
-from deepseis_core.errors import InputError
+from deepseis_bringup.supervisor import StandstillError
 from deepseis_core.ros import qos
 from deepseis_core.ros.convert import ns_from_stamp
 from deepseis_core.ros.reach import choose_reach
@@ -96,7 +96,7 @@ class GraphWatch:
 
         Raises
         ------
-        InputError
+        StandstillError
             Naming how far each member is.
         """
         if time.monotonic() - self.moved_at < PATIENCE:
@@ -106,7 +106,7 @@ class GraphWatch:
             for name, msg in sorted(self.said.items())
         ]
         reason = f"nothing has moved for {PATIENCE:g} s: {', '.join(places) or 'nobody spoke'}"
-        raise InputError("graph", reason, "its nodes wait for each other; see the logs")
+        raise StandstillError("graph", reason, "its nodes wait for each other; see the logs")
 
     def _on_source(self, msg: Watermark) -> None:
         now = time.monotonic()

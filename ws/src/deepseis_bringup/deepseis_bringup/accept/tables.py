@@ -14,7 +14,7 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
-from deepseis_bringup.report.document import Tile, document, page_head, place
+from deepseis_bringup.report.document import TIMES, Tile, document, page_head, place
 from deepseis_bringup.report.plot import Colours, Figure
 
 COLUMNS: Final = (
@@ -172,7 +172,7 @@ class Acceptance:
             Tile("Tables", f"{len(dict(_by_table(self.rows)))}"),
         ]
         head = page_head("acceptance", self.title, lead, tiles=tiles)
-        return document(self.title, head, body, panels)
+        return document(self.title, head, body, panels, footer=TIMES if panels else "")
 
 
 def _by_table(rows: Sequence[Row]) -> Iterable[tuple[str, list[Row]]]:
@@ -183,13 +183,15 @@ def _by_table(rows: Sequence[Row]) -> Iterable[tuple[str, list[Row]]]:
 
 
 def _table(rows: Sequence[Row]) -> str:
-    head = "".join(f"<th>{escape(name)}</th>" for name in COLUMNS[1:])
+    texts = [row.cells() for row in rows]
+    shown = [k for k in range(1, len(COLUMNS)) if any(cells[k] for cells in texts)]
+    head = "".join(f"<th>{escape(COLUMNS[k])}</th>" for k in shown)
     lines = []
-    for row in rows:
+    for row, texts_of_row in zip(rows, texts, strict=True):
         style = ' class="bad"' if row.met is False else ""
         cells = "".join(
-            f"<td{WHOLE if name in NUMBERS else ''}>{escape(text)}</td>"
-            for name, text in zip(COLUMNS[1:], row.cells()[1:], strict=True)
+            f"<td{WHOLE if COLUMNS[k] in NUMBERS else ''}>{escape(texts_of_row[k])}</td>"
+            for k in shown
         )
         lines.append(f"<tr{style}>{cells}</tr>")
     table = f'<table class="words"><tr>{head}</tr>{"".join(lines)}</table>'

@@ -14,6 +14,9 @@ from deepseis_bringup.bags.recovery import Loss, Recovery
 
 FIRST_GPS_SECOND = 315_964_800
 """Of 1980-01-06 [s since 1970]."""
+MANY = 4
+"""From so many topics on those that end together are told in one line."""
+TOGETHER_NS = 1_000_000_000
 NUMBERS = ("messages", "Hz", "first [s]", "last [s]", "MB")
 
 
@@ -127,10 +130,21 @@ def recovery_lines(results: Sequence[Recovery]) -> list[str]:
         lost = [f"{size_text(result.lost_bytes)} at the end"] * (result.lost_bytes > 0)
         lost += [f"{result.damaged_chunks} damaged chunks"] * (result.damaged_chunks > 0)
         lines.append(f"{text} kept, lost: {' and '.join(lost) or 'nothing'}")
-        lines += [f"  {loss_text(loss)}" for loss in result.losses]
+        lines += [f"  {line}" for line in _loss_lines(result.losses)]
         if result.kept_as is not None:
             lines.append(f"  the damaged file is {result.kept_as}")
     return lines
+
+
+def _loss_lines(losses: Sequence[Loss]) -> list[str]:
+    """Say each loss; topics that end together, as all do where a file is cut, in one line."""
+    last = max((loss.after_ns for loss in losses if loss.count < 0), default=0)
+    ends = [x for x in losses if x.count < 0 and last - x.after_ns <= TOGETHER_NS]
+    if len(ends) < MANY:
+        return [loss_text(loss) for loss in losses]
+    first = min(loss.after_ns for loss in ends)
+    text = f"{len(ends)} topics: nothing after {utc_text(first)} to {utc_text(last)}"
+    return [text, *(loss_text(loss) for loss in losses if loss not in ends)]
 
 
 def loss_text(loss: Loss) -> str:

@@ -12,10 +12,8 @@ from typing import Any
 from deepseis_bringup.report.plot import Colours, Figure
 from deepseis_bringup.report.style import SCRIPT, STYLE
 
-FOOTER = (
-    "All times count from the first sample of the run. Drag to zoom, double-click to go back; the "
-    "buttons at the top show or hide a satellite everywhere."
-)
+TIMES = "Times count from the first sample of the run. Drag to zoom, double-click to go back."
+FOOTER = f"{TIMES} The buttons at the top show or hide a satellite everywhere."
 
 
 @dataclass(frozen=True)
