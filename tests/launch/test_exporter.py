@@ -16,6 +16,7 @@ from unit.bringup.test_convert import (
     displacement,
     ephemeris,
     observations,
+    precise,
     pvt,
     station,
 )
@@ -29,7 +30,15 @@ from deepseis_core.imu_message import encode_imu
 from deepseis_core.ros import codecs, qos
 from deepseis_core.types import ImuSample
 from deepseis_core.types import InsSolution as SolutionValue
-from deepseis_msgs.msg import Displacement, Ephemeris, InsSolution, Observations, Pvt, Station
+from deepseis_msgs.msg import (
+    Displacement,
+    Ephemeris,
+    InsSolution,
+    Observations,
+    PrecisePosition,
+    Pvt,
+    Station,
+)
 
 pytestmark = [pytest.mark.launch, pytest.mark.timeout(120)]
 SECONDS = 4
@@ -104,6 +113,40 @@ def test_what_a_station_says_is_in_the_archive_and_at_the_ringserver(tmp_path):
         for at in range(0, path.stat().st_size, 512):
             assert path.read_bytes()[at : at + 512] in peer.received
     assert obspy_modules().read_inventory(str(tmp_path / "JP.DSEI.xml"))
+
+
+def test_a_station_without_a_fusion_has_its_phases_displacement(tmp_path):
+    with own_domain() as environment, listener(environment) as (node, until):
+        process = subprocess.Popen(
+            [
+                str(executable("deepseis_bringup", "exporter")),
+                *("--ros-args", "-r", "__ns:=/DSEI", "-p", f"directory:={tmp_path}"),
+            ],
+            env={**os.environ, **environment},
+        )
+        try:
+            kinds = {"station": Station, "gnss/pvt": Pvt, "gnss/precise": PrecisePosition}
+            publish = {
+                topic: node.create_publisher(
+                    kind, f"/DSEI/{topic}", qos.LATCHED if topic == "station" else qos.STREAM
+                )
+                for topic, kind in kinds.items()
+            }
+            until(lambda: all(p.get_subscription_count() for p in publish.values()), 60.0)
+            utc_ns = START.to_utc_ns()
+            publish["station"].publish(codecs.STATION.encode(station(), utc_ns))
+            publish["gnss/pvt"].publish(codecs.PVT.encode(pvt(START, 0), utc_ns))
+            time.sleep(2.5)  # a look at who publishes, once a second
+            for k in range(200):
+                moved = [1e-3 * k, 0.0, 0.0]
+                value = precise(START.add_ns(k * 20_000_000), np.array(moved))
+                publish["gnss/precise"].publish(codecs.PRECISE_POSITION.encode(value, utc_ns))
+            until(lambda: list(tmp_path.rglob("*.10.BXE.D.*")), 20.0)
+        finally:
+            process.terminate()
+            process.wait(30)
+    (trace,) = obspy_modules().read(str(next(tmp_path.rglob("*.10.BXE.D.*"))))
+    assert trace.data.tolist() == [1000 * k for k in range(200)]
 
 
 def free_port():

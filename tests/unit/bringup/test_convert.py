@@ -37,6 +37,8 @@ from deepseis_core.types import (
     ImuSample,
     MotionState,
     Observations,
+    PrecisePosition,
+    PreciseStatus,
     Pvt,
     PvtStatus,
     Station,
@@ -124,6 +126,12 @@ def pvt(time, sample):
         sample, time.week, time.tow_ns, 0, PvtStatus.SINGLE, MONUMENT, np.zeros(3),
         BIAS_NS * 1e-9 * SPEED_OF_LIGHT, 0.0, np.eye(3).ravel(), np.eye(3).ravel(),
     )  # fmt: skip
+
+
+def precise(time, moved, status=PreciseStatus.PHASE):
+    return PrecisePosition(
+        0, time.week, time.tow_ns, 0, "phase", status, moved, 1e-6 * np.eye(3).ravel(), 0.0, 1e-3
+    )
 
 
 def ephemeris(satellite, transmit_tow):
@@ -230,6 +238,32 @@ def test_samples_carry_true_time_and_value(archive, location, channel, quantity,
         count += trace.stats.npts
     rate = stream[0].stats.sampling_rate
     assert count == SECONDS * rate - (100 if location[0] == "3" else 0)
+
+
+def test_a_station_without_a_fusion_has_its_phases_displacement(tmp_path):
+    """Also while there are none: 2 s are a gap. Without its first epochs nothing is lost."""
+    write, utc0 = Writer(tmp_path / "bag"), START.to_utc_ns()
+    write("station", codecs.STATION.encode(station(), utc0), utc0)
+    for k in range(100):
+        time = START.add_ns(k * 10**8)
+        write("gnss/pvt", codecs.PVT.encode(pvt(time, k * 400_000), time.to_utc_ns()), utc0)
+    for k in range(500):
+        time = START.add_ns(k * 20_000_000)
+        moved = motion([time.total_ns - BIAS_NS])[0][0]
+        status = PreciseStatus.NONE if 200 <= k < 300 else PreciseStatus.PHASE
+        data = codecs.PRECISE_POSITION.encode(precise(time, moved, status), time.to_utc_ns())
+        write("gnss/precise", data, utc0)
+    write.bag.close()
+    said = []
+    convert.convert(tmp_path / "bag", "miniseed", tmp_path / "out", ConvertOptions(), said.append)
+    assert "1 gaps, 100 samples missing" in " ".join(said)
+    for letter, column in zip("ENZ", range(3), strict=True):
+        stream = stream_of((tmp_path / "out", said), "10", f"BX{letter}")
+        assert [trace.stats.npts for trace in stream] == [200, 200]
+        for trace in stream:
+            expected = motion(times_of(trace))[0][:, column]
+            assert_allclose(trace.data / 1e6, expected, rtol=0, atol=4e-6)
+    assert not list((tmp_path / "out").rglob("*.11.*"))  # phases alone know no velocity
 
 
 def test_the_gap_is_a_gap_of_its_own_length(archive):

@@ -20,10 +20,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from deepseis_core.errors import InputError
-from deepseis_core.gps_time import GpsTime
 from deepseis_core.imu_grades import ImuGrade
 from deepseis_core.miss_log import MissScript
 from deepseis_core.types import (
@@ -47,7 +44,7 @@ from deepseis_ins.fusion_present import Present
 from deepseis_ins.fusion_start import Site, start_filter, start_moving
 from deepseis_ins.fusion_time import Timebase
 from deepseis_ins.gnss_epochs import PreciseEpoch, has_velocity
-from deepseis_ins.ground_motion import GroundMotion, of_precise
+from deepseis_ins.ground_motion import GroundMotion, PreciseMotion
 from deepseis_ins.imu_history import RowFlag
 from deepseis_ins.loose import LooseConfig, LooseFilter
 from deepseis_ins.oscillator_terms import OscillatorTerms
@@ -115,9 +112,7 @@ class FusionEngine(FusionInputs):
         self.writer = SolutionWriter(self.site.monument_ecef, self.site.C_enu_e, self.interpolator)
         self.ground = GroundMotion(grade, self.history.dt, self.interpolator)
         self._gnss_motion: list[Displacement] = []
-        self._precise_at: GpsTime | None = None
-        self._precise_step = np.inf
-        self._unspaced: list[PrecisePosition] = []
+        self._precise_motion = PreciseMotion()
         self.oscillator: OscillatorTerms | None = None
         if config.oscillator_on_body:
             self.oscillator = OscillatorTerms(config, sample_rate_hz)
@@ -216,20 +211,11 @@ class FusionEngine(FusionInputs):
             self.delayed.push(pvt)
 
     def _take_precise(self, position: PrecisePosition) -> None:
-        before, at = self._precise_at, GpsTime(position.week, position.tow_ns)
-        self._precise_at = at
-        if before is not None and (step := 1e-9 * at.diff_ns(before)) > 0.0:
-            self._precise_step = min(self._precise_step, step)  # more where epochs are lost
+        through = self.next_sample + self.block - 1
+        self._gnss_motion += self._precise_motion.take(position, through)
         epoch = PreciseEpoch.of(position, self.site.antenna_ecef, self.site.C_enu_e)
         if epoch is None:
             return
-        self._unspaced.append(position)
-        if np.isfinite(self._precise_step):
-            through = self.next_sample + self.block - 1
-            self._gnss_motion += [
-                of_precise(item, through, self._precise_step) for item in self._unspaced
-            ]
-            self._unspaced = []
         if self.config.precise and self.delayed is not None:
             self.delayed.push_precise(epoch)
 

@@ -57,12 +57,10 @@ class PreciseEpoch:
         C_enu_e : ndarray, shape (3, 3)
             Axes there.
         """
+        if not is_placed(value):
+            return None
         common_enu = np.reshape(value.common_covariance_enu, (3, 3))
         noise_enu = np.reshape(value.covariance_enu, (3, 3)) - common_enu
-        if value.status < PreciseStatus.PHASE:
-            return None
-        if not is_measured(value.displacement_enu, noise_enu):
-            return None
         return cls(
             value.sample_index,
             f"{value.method} {int(value.status)}",
@@ -87,6 +85,14 @@ def has_position(pvt: Pvt) -> bool:
 def has_velocity(pvt: Pvt) -> bool:
     """Return whether there is a velocity with a covariance."""
     return is_measured(pvt.velocity_ecef, pvt.velocity_covariance_ecef)
+
+
+def is_placed(value: PrecisePosition) -> bool:
+    """Return whether a precise position says where the antenna is, with noise of its own."""
+    noise = np.reshape(value.covariance_enu, (3, 3)) - np.reshape(
+        value.common_covariance_enu, (3, 3)
+    )
+    return value.status >= PreciseStatus.PHASE and is_measured(value.displacement_enu, noise)
 
 
 def is_measured(value: FloatArray, covariance: FloatArray) -> bool:

@@ -28,6 +28,7 @@ from deepseis_ins.fusion_output import SolutionWriter
 from deepseis_ins.fusion_present import Present
 from deepseis_ins.fusion_smoother import LateMotion
 from deepseis_ins.fusion_time import Timebase
+from deepseis_ins.gnss_epochs import is_placed
 from deepseis_ins.measurement_kernels import matrix_of
 
 _TO_ENU = [1, 0, 2]
@@ -132,6 +133,36 @@ class GroundMotion:
         walk2 = self.grade.accelerometers.walk**2 * self.interval
         white = walk2 * (of_increments**2).sum(axis=1)
         return np.sqrt(slow[_TO_ENU] + white[:, None]).astype(np.float32)
+
+
+class PreciseMotion:
+    """The motion that successive precise positions show; they tell their spacing themselves."""
+
+    def __init__(self) -> None:
+        self._at: GpsTime | None = None
+        self._step = np.inf
+        self._unspaced: list[PrecisePosition] = []
+
+    def take(self, position: PrecisePosition, valid_through: int) -> list[Displacement]:
+        """Take the next position; return what it shows, and those before whose spacing it tells.
+
+        Parameters
+        ----------
+        position : PrecisePosition
+            One that does not say where the antenna is shows nothing.
+        valid_through : int
+            Of the messages [samples].
+        """
+        before, self._at = self._at, GpsTime(position.week, position.tow_ns)
+        if before is not None and (step := 1e-9 * self._at.diff_ns(before)) > 0.0:
+            self._step = min(self._step, step)  # more where epochs are lost
+        if not is_placed(position):
+            return []
+        self._unspaced.append(position)
+        if not np.isfinite(self._step):
+            return []
+        due, self._unspaced = self._unspaced, []
+        return [of_precise(item, valid_through, self._step) for item in due]
 
 
 def of_precise(position: PrecisePosition, valid_through: int, interval: float) -> Displacement:

@@ -28,6 +28,7 @@ from deepseis_core.constants import WGS84_A
 from deepseis_core.errors import InputError
 from deepseis_core.gps_time import LEAP_SECONDS_EXPIRE_UNIX_NS, GpsTime
 from deepseis_core.types import Displacement, Station
+from deepseis_ins.ground_motion import PreciseMotion
 from deepseis_pvt.rinex_hours import RinexHours
 from deepseis_pvt.rinex_obs import RinexStation
 
@@ -78,10 +79,14 @@ def to_miniseed(known: Survey, folder: Path, options: ConvertOptions, say: Say) 
     series = SeriesSet(archive.write, options.alias)
     imu = ImuGathering()
     events: list[StationEvent] = []
-    topics = ("seismo/displacement", "imu/data_raw", "seismo/event")
+    topics = (motion_topic(known), "imu/data_raw", "seismo/event")
+    precise = PreciseMotion()
     for topic, value, utc_ns in known.bag.values(topics):
         if topic == "seismo/displacement":
             push_displacement(series, known.time, value)
+        elif topic == "gnss/precise":
+            for shown in precise.take(value, value.sample_index):
+                push_displacement(series, known.time, shown)
         elif topic == "imu/data_raw":
             for batch in imu.push(value, utc_ns):
                 push_imu(series, known, *batch)
@@ -103,6 +108,12 @@ def to_miniseed(known: Survey, folder: Path, options: ConvertOptions, say: Say) 
     if gaps.gaps or gaps.repeated:
         say(f"{gaps.gaps} gaps, {gaps.missing} samples missing, {gaps.repeated} came again")
     return written + list(archive.paths)
+
+
+def motion_topic(known: Survey) -> str:
+    """Return where the bag's ground motion is: a station without a fusion has phases alone."""
+    fused = next(known.bag.values(("seismo/displacement",)), None) is not None
+    return "seismo/displacement" if fused else "gnss/precise"
 
 
 def push_displacement(series: SeriesSet, time: TrueTime, value: Displacement) -> None:

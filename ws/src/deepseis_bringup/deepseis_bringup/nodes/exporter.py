@@ -32,9 +32,11 @@ from deepseis_core.types import (
     DisplacementSource,
     Ephemeris,
     Observations,
+    PrecisePosition,
     Pvt,
     Station,
 )
+from deepseis_ins.ground_motion import PreciseMotion
 from deepseis_msgs.msg import InsSolution
 
 _BY_STAMP = SampleClock(0, 1e9)
@@ -60,6 +62,7 @@ class ExporterConfig:
 class ExporterNode(Node):
     """In: station, gnss/pvt, ins/solution, seismo/displacement, imu/data_raw. Out: /diagnostics.
 
+    Of a station without a fusion the displacement by phases alone, gnss/precise.
     For RTCM gnss/observations and gnss/ephemeris too. Takes no part in the graph's flow control:
     it may come, go and fail. Parameters: ExporterConfig, LiveConfig, RtcmConfig.
     """
@@ -85,6 +88,8 @@ class ExporterNode(Node):
         subscribe(self, codecs.PVT, "gnss/pvt", self.on_pvt, DEEP)
         self.create_subscription(InsSolution, "ins/solution", self.on_solution, DEEP, raw=True)
         subscribe(self, codecs.DISPLACEMENT, "seismo/displacement", self.on_motion, DEEP)
+        self.precise, self.is_fused = PreciseMotion(), True
+        subscribe(self, codecs.PRECISE_POSITION, "gnss/precise", self.on_precise, DEEP)
         self.create_subscription(Imu, "imu/data_raw", self.on_imu, DEEP, raw=True)
         self.serve(rtcm)
         diagnostics.of_station(self.get_namespace())
@@ -149,7 +154,14 @@ class ExporterNode(Node):
 
     def on_motion(self, motion: Displacement, _utc_ns: int) -> None:
         """Export ground motion."""
+        self.is_fused = True
         self.export.take_displacement(motion)
+
+    def on_precise(self, position: PrecisePosition, _utc_ns: int) -> None:
+        """Export the motion that phases show, where nobody else says it."""
+        shown = self.precise.take(position, position.sample_index)
+        for motion in () if self.is_fused else shown:
+            self.export.take_displacement(motion)
 
     def on_imu(self, data: bytes) -> None:
         """Export an IMU sample."""
@@ -157,6 +169,7 @@ class ExporterNode(Node):
 
     def report(self) -> None:
         """Describe new channels; publish the counters."""
+        self.is_fused = self.count_publishers("seismo/displacement") > 0
         self.export.describe(self.folder)
         gaps = self.export.series.gaps()
         values = {"records": self.export.records, "held": self.export.held, **vars(gaps)}
