@@ -34,10 +34,10 @@ def tiles(measures: Measures, summary: Mapping[str, Any]) -> list[Tile]:
         found.append(Tile("Speed", f"{factor:.2f}", f"{TIMES} real time", more))
     gaps, lost = summary["gaps"], summary.get("lost_samples")
     more = "no gap in the samples" if not gaps else f"{gaps} gap{'s' if gaps > 1 else ''}"
+    more += f"; {summary['bag_messages']:,} messages recorded"
     found.append(
         Tile("Samples lost", "?" if lost is None else f"{lost:,}", "", more, bad=gaps > 0)
     )
-    found.append(Tile("Messages recorded", f"{summary['bag_messages']:,}"))
     found.append(_warnings(measures))
     return found
 
