@@ -203,7 +203,8 @@ def _file_size(path: Path) -> int:
     except OSError as error:
         raise InputError(path, error.strerror or str(error)) from None
     if stat.S_ISDIR(state.st_mode):
-        raise InputError(path, "is a directory", "name an IF recording")
+        hint = "name an IF recording; a run or a bag is for `replay`"
+        raise InputError(path, "is a directory", hint)
     if not stat.S_ISREG(state.st_mode):
         raise InputError(path, "is not a regular file")
     if not os.access(path, os.R_OK):

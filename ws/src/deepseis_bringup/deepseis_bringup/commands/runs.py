@@ -14,6 +14,7 @@ from deepseis_bringup.commands.common import (
     Out,
     add_command,
     into_run_folder,
+    say,
     say_figures,
 )
 from deepseis_bringup.commands.web import WebAddress, WebNames, WebPort, WebToken, web_options
@@ -29,6 +30,11 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", help="Parameter of a node: tracker.pll_bandwidth_hz=20; repeatable."),
 ]
+
+NOTHING_FOUND = (
+    "deepseis: no satellite was found: look at packing (qi for iq), rate and the sign of the"
+    " intermediate frequency (docs/formats.md), then at the antenna"
+)
 
 
 def demo(
@@ -218,9 +224,11 @@ def process(
             web=web_options(web, web_address, web_token_file, web_name),
         )
         figures = runs.run_recording(selection, folder, options)
-        say_figures(
-            write_report(folder, truth=None, title=f"Recording {if_file.name}", extra=figures)
-        )
+        title = f"Recording {if_file.name}"
+        summary = write_report(folder, truth=None, title=title, extra=figures)
+        if not summary["satellites_tracked"]:
+            say(NOTHING_FOUND)
+        say_figures(summary)
 
     into_run_folder(output, work)
 
