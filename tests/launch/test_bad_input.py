@@ -106,7 +106,7 @@ NODES = {
     "a missing nav file": ("pvt pvt", "nav_file:=/missing.rnx", ["/missing.rnx", "No such file"]),
     "an unknown satellite": ("tracking tracker", "satellite:=G99", ["G99", "G01 to G32"]),
     "no loop": ("tracking tracker", "pll_bandwidth_hz:=500.0", ["pll_bandwidth_hz", "50"]),
-    "no file": ("frontend if_source", "start_s:=0.0", ["file", "is empty"]),
+    "no file": ("frontend if_source", "start_s:=0.0", ["file", "names no file"]),
     "no folder": ("bringup recorder", "compression:=none", ["directory", "is empty"]),
 }
 
