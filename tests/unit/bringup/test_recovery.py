@@ -15,7 +15,7 @@ from deepseis_bringup.bags.mcap_file import McapFile
 from deepseis_bringup.bags.mcap_recording import read_messages
 from deepseis_bringup.bags.recovery import Loss, recover_bag
 from deepseis_bringup.bags.ros_definitions import Definitions
-from deepseis_bringup.bags.text import recovery_lines
+from deepseis_bringup.bags.text import damage_lines, recovery_lines
 from deepseis_core.errors import InputError
 from deepseis_core.mcap_scan import MAGIC, McapScan
 from deepseis_frontend.if_bag import bag_files, mcap_files
@@ -117,6 +117,8 @@ def test_a_cut_at_every_kind_of_place_keeps_all_whole_chunks_before(whole, tmp_p
 @settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
 @given(place=st.floats(0.0, 1.0), size=st.integers(1, 400), junk=st.binary(max_size=400))
 @example(place=0.5, size=1, junk=b"")
+@example(place=0.0, size=1, junk=b"\x02")  # the file's end, by its type
+@example(place=0.625, size=176, junk=b"\0\0")  # its length leads into the next, between messages
 def test_damage_in_the_middle_costs_the_chunks_that_it_touches(
     whole, tmp_path_factory, place, size, junk
 ):
@@ -147,11 +149,31 @@ def test_a_chunk_that_calls_itself_another_record_is_lost_alone_and_said(
     spoilt = bytearray(data)
     spoilt[chunks(records)[hurt][0]] = opcode
     folder = folder_with(tmp_path_factory, spoilt)
+    info = bag_info(folder)
+    assert not info.is_whole
+    assert damage_lines(info) != damage_lines(bag_info(folder_with(tmp_path_factory, data)))
     [result] = recover_bag(folder)
     assert not result.was_whole
     assert found(folder / "bag_0.mcap") == expected([k for k in range(COUNT) if k != hurt])
+    assert bag_info(folder).is_whole
     told = {loss.topic: loss.count for loss in result.losses}
     assert told == ({"/a": -1, "/b": -1} if hurt == COUNT - 1 else {"/a": 2, "/b": 1})
+
+
+@pytest.mark.parametrize("kind", [Opcode.CHUNK_INDEX, Opcode.STATISTICS, Opcode.FOOTER])
+def test_a_damaged_index_is_made_anew(whole, tmp_path_factory, kind):
+    """All messages are there, but whoever goes by the index is led astray."""
+    data, records = whole
+    (begin, end) = next((begin, end) for opcode, begin, end in records if opcode == kind)
+    spoilt = bytearray(data)
+    spoilt[(begin + 9 + end) // 2] ^= 0x82
+    folder = folder_with(tmp_path_factory, spoilt)
+    assert not bag_info(folder).is_whole
+    [result] = recover_bag(folder)
+    assert (result.was_whole, result.losses) == (False, ())
+    assert bag_info(folder).is_whole
+    times = [m.log_time_ns for m in read_messages(bag_files(folder))]
+    assert sorted(times) == sorted(t for stamps in expected(range(COUNT)).values() for t in stamps)
 
 
 @pytest.mark.parametrize("opcode", [Opcode.FOOTER, Opcode.DATA_END])

@@ -185,6 +185,9 @@ class McapScan:
                 except _ERRORS as error:
                     self._damaged(opcode, start, error)
                     trusted = start + 1
+                    behind = file.tell()
+                    swallowed = _next_chunk(file, trusted, size, behind)
+                    file.seek(behind if swallowed is None else swallowed)
 
     def _found_chunk(self, file: BinaryIO, at: int, size: int) -> bool:
         """Go on at the next chunk from a place on, if there is one and damage is tolerated."""
@@ -218,14 +221,6 @@ class McapScan:
                 file.seek(place)
                 for _ in self._chunk(file.read(length), lambda _channel: False):
                     pass
-
-    @property
-    def has_end(self) -> bool:
-        """Whether the file ends as a finished one does, with its index."""
-        with self.path.open("rb") as file:
-            end = file.seek(0, os.SEEK_END)
-            file.seek(max(end - len(MAGIC), len(MAGIC)))
-            return file.read() == MAGIC
 
     def _require_cut(self, file: BinaryIO, start: int, opcode: int) -> None:
         """Tell a record that the end cuts, or a tail never written, from garbage."""
@@ -342,10 +337,13 @@ def _stream(data: bytes | memoryview) -> ReadDataStream:
     return ReadDataStream(BytesIO(data))
 
 
-def _next_chunk(file: BinaryIO, at: int, size: int) -> int | None:
-    """Return the next place that looks like the beginning of a chunk."""
-    reach = 1 << 24
-    while at < size:
+def _next_chunk(file: BinaryIO, at: int, size: int, begin_by: int | None = None) -> int | None:
+    """Return the next place that looks like the beginning of a chunk.
+
+    ``size`` is the file's; it begins before ``begin_by``, if that is given.
+    """
+    reach, last = 1 << 24, size if begin_by is None else begin_by
+    while at < last:
         file.seek(at)
         block = file.read(reach + CHUNK_HEAD.size + RECORD_HEAD.size + 16)
         for match in CHUNK_START.finditer(block):
@@ -354,7 +352,8 @@ def _next_chunk(file: BinaryIO, at: int, size: int) -> int | None:
             inside = len(match[1]) + int.from_bytes(block[end : end + 8], "little")
             left = size - at - match.start() - RECORD_HEAD.size
             if length == inside <= min(RECORD_LIMIT, left):
-                return at + match.start()
+                place = at + match.start()
+                return place if place < last else None
         at += reach
     return None
 

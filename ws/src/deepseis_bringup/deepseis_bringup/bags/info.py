@@ -6,6 +6,7 @@ import struct
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from deepseis_bringup.bags.file_end import file_end
 from deepseis_bringup.bags.mcap_recording import HASH_KEY
 from deepseis_core.interface import KEY, RECORD, require_interface
 from deepseis_core.mcap_scan import Channel, McapScan, Message
@@ -47,6 +48,7 @@ class BagInfo:
     if_remarks: list[Remark] = field(default_factory=list)
     cut_at: int | None = None
     damaged_chunks: int = 0
+    passed_over: int = 0
     has_index: bool = True
 
     @property
@@ -69,7 +71,8 @@ class BagInfo:
     @property
     def is_whole(self) -> bool:
         """Whether the bag ends as it should and nothing in it is damaged."""
-        return self.has_index and self.cut_at is None and not self.damaged_chunks
+        damaged = self.damaged_chunks or self.passed_over
+        return self.has_index and self.cut_at is None and not damaged
 
     def require_interface(self) -> None:
         """Refuse a bag of another interface version (``InputError`` naming both)."""
@@ -89,7 +92,7 @@ def bag_info(path: str | Path) -> BagInfo:
     info = BagInfo(path, files, 0)
     gaps: dict[str, _GapFinder] = {}
     for file in files:
-        scan = McapScan(file, tolerant=True)
+        scan, before = McapScan(file, tolerant=True), info.message_count
         for message in scan.messages():
             _count(info, message)
             if message.channel.type_name == TYPE_NAME:
@@ -101,7 +104,12 @@ def bag_info(path: str | Path) -> BagInfo:
         info.attachments += [attachment.name for attachment in scan.attachments]
         info.size_bytes += file.stat().st_size
         info.damaged_chunks += scan.damaged_chunks
-        info.has_index &= scan.has_end
+        end = file_end(file)
+        info.has_index &= end.is_sound
+        told = end.message_count
+        info.passed_over += (
+            max(0, (told or 0) - info.message_count + before) if not scan.damaged_chunks else 0
+        )
         info.cut_at = info.cut_at if scan.cut_at is None else scan.cut_at
     return info
 

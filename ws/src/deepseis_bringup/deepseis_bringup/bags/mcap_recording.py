@@ -286,10 +286,12 @@ def read_messages(files: Iterable[Path], topics: Iterable[str] | None = None) ->
             McapError,
             zstandard.ZstdError,
             struct.error,
-            KeyError,
+            LookupError,
             ValueError,
             OSError,
+            MemoryError,
+            OverflowError,
+            RuntimeError,
         ) as error:
-            raise InputError(
-                path, f"cannot be read to its end: {error}", "try: deepseis recover BAG"
-            ) from None
+            reason = f"cannot be read to its end: {str(error) or type(error).__name__}"
+            raise InputError(path, reason, "try: deepseis recover BAG") from None

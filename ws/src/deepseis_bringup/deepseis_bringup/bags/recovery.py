@@ -5,24 +5,19 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
-import struct
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
 
-from mcap.opcode import Opcode
-
+from deepseis_bringup.bags.file_end import file_end
 from deepseis_bringup.bags.mcap_file import McapFile
 from deepseis_bringup.bags.mcap_recording import METADATA, write_metadata_yaml
 from deepseis_core.errors import InputError
 from deepseis_core.interface import RECORD
-from deepseis_core.mcap_scan import MAGIC, RECORD_HEAD, Channel, McapScan
+from deepseis_core.mcap_scan import Channel, McapScan
 from deepseis_frontend.if_bag import bag_files, mcap_files
 
-FOOTER_HEAD: Final = RECORD_HEAD.pack(Opcode.FOOTER, 20)
-FOOTER_BYTES: Final = len(FOOTER_HEAD) + 20
 KEPT = ".damaged"
 """What the name of a file gets that is kept as it was."""
 
@@ -207,29 +202,12 @@ def _whole(file: Path, *, alone: bool) -> Recovery | None:
             raise
         return Recovery(file, was_whole=False, messages=0, lost_bytes=_size(file))
     count = sum(1 for _ in scan.messages())
-    told = stated_count(file) if scan.has_end else None
-    if scan.cut_at is None and not scan.damaged_chunks and scan.has_end and told in (None, count):
+    end = file_end(file)
+    is_read = scan.cut_at is None and not scan.damaged_chunks
+    if is_read and end.is_sound and end.message_count in (None, count):
         return Recovery(file, was_whole=True, messages=count)
     if not count:
         return Recovery(file, was_whole=False, messages=0, lost_bytes=_size(file))
-    return None
-
-
-def stated_count(file: Path) -> int | None:
-    """Return how many messages a file's own statistics tell; None where there are none."""
-    with file.open("rb") as stream:
-        size = stream.seek(0, os.SEEK_END)
-        stream.seek(max(0, size - FOOTER_BYTES - len(MAGIC)))
-        footer = stream.read(FOOTER_BYTES)
-        if len(footer) < FOOTER_BYTES or footer[:9] != FOOTER_HEAD:
-            return None
-        (place,) = struct.unpack_from("<Q", footer, 9)
-        while len(MAGIC) < place < size - FOOTER_BYTES:
-            stream.seek(place)
-            opcode, length = RECORD_HEAD.unpack(stream.read(RECORD_HEAD.size))
-            if opcode == Opcode.STATISTICS and length >= 8:
-                return int.from_bytes(stream.read(8), "little")
-            place += RECORD_HEAD.size + length
     return None
 
 
@@ -242,7 +220,7 @@ def _rewrite(
     scan = McapScan(file, tolerant=True)
     try:
         tally = _copy(scan, draft)
-        short = scan.cut_at is not None or tally.falls_short_of(stated_count(file))
+        short = scan.cut_at is not None or tally.falls_short_of(file_end(file).message_count)
         _sync(draft)
         kept = _keep(file) if folder is None and not replace else None
         os.replace(draft, (folder or file.parent) / file.name)

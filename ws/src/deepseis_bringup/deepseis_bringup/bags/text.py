@@ -75,6 +75,10 @@ def damage_lines(info: BagInfo) -> list[str]:
         lines.append(f"HAS NO INDEX: deepseis recover {info.path}")
     if info.damaged_chunks:
         lines.append(f"{info.damaged_chunks} DAMAGED CHUNKS, their messages are lost")
+    if info.passed_over:
+        lines.append(
+            f"{info.passed_over} MESSAGES LESS THAN IT SAYS: deepseis recover {info.path}"
+        )
     lines += [remark.text for remark in info.if_remarks]
     return lines or ["whole, no samples missing"]
 
