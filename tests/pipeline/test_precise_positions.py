@@ -166,6 +166,25 @@ def test_slips_at_50_hz_do_not_pass_unseen_by_rtk(bench):
         assert name in found["gnss/precise"][begin].rejected
 
 
+@pytest.mark.parametrize("what", ["pseudorange", "cn0_dbhz"])
+def test_an_observation_with_a_hole_costs_its_satellite_alone(bench, what):
+    begin, end = round(15.0 * 50), round(16.0 * 50)
+    epochs = list(bench.epochs)
+    for k in range(begin, end):
+        values = np.array(getattr(epochs[k], what))
+        values[2] = np.nan
+        epochs[k] = replace(epochs[k], **{what: values})
+    found = bench.run(epochs=epochs)
+    name = epochs[begin].satellites[2]
+    during = (bench.time >= 15.0) & (bench.time < 16.0)
+    for topic, status in (("gnss/precise", PreciseStatus.PHASE), ("gnss/rtk", PreciseStatus.FIX)):
+        values = found[topic][begin:end]
+        assert {item.status for item in values} == {status}
+        assert all(name not in item.satellites for item in values)
+        error, sd = bench.errors(found[topic], during)
+        assert (np.abs(error) < 6.0 * sd).all()
+
+
 def test_a_base_that_is_lost_grows_old_and_is_given_up(bench):
     lost = [epoch for epoch in bench.base if epoch.sample_index < 15.0 * RATE]
     values = bench.run(bench.solver(lost, rtk_max_age_s=5.0))["gnss/rtk"]

@@ -126,6 +126,26 @@ def test_a_slip_in_mid_quake_does_not_move_the_antenna(told, cycles):
     assert solver.counts["slips_found"] == (0 if told else 1)
 
 
+@pytest.mark.parametrize("slipped", [(0, 1), (0, 1, 2), (3, 6, 8)])
+@pytest.mark.parametrize("cycles", [0.5, 1.0])
+def test_slips_of_several_at_once_that_nobody_marks_do_not_move_the_antenna(slipped, cycles):
+    """By the same amount they hold together: the worst residual is often one that is right."""
+    config = PhaseConfig()
+    phases = Phases(config, motion=circle(20.0), drift=0.0)
+    solver = filter_of(config)
+    phases.run(solver, 20.0, True)
+    phases.run(solver, 5.0, False)
+    phases.bias[list(slipped)] += cycles * 0.1903
+    at_once = solver.solve(phases.epoch(), False)
+    assert np.flatnonzero(at_once.refused).tolist() == list(slipped)
+    after = phases.run(solver, 5.0, False)
+    assert all(s.used.all() for s in after)
+    error = errors(phases, [at_once, *after], 25.0)
+    assert (np.abs(error) < 5.0 * np.sqrt(np.diag(after[0].covariance)[:3])).all()
+    assert solver.counts["slips_found"] == len(slipped)
+    assert solver.counts["contradictions"] == 0
+
+
 def test_satellites_come_and_go_and_the_solution_stays():
     config = PhaseConfig()
     phases = Phases(config, motion=circle(20.0), drift=0.0, seed=5)

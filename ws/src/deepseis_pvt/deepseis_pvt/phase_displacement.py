@@ -28,6 +28,7 @@ from deepseis_core.hidden_motion import LEAST_HIDDEN
 from deepseis_core.types import FloatArray, IntArray
 from deepseis_pvt import phase_kernels as kernels
 from deepseis_pvt.creep_level import CreepLevel
+from deepseis_pvt.phase_search import SlipSearch
 from deepseis_pvt.phase_values import PhaseConfig, PhaseEpoch, PhaseSolution
 from deepseis_pvt.rest_memory import STEP_S, RestMemory, hold
 from deepseis_pvt.still_reference import StillReference
@@ -126,6 +127,7 @@ class PhaseDisplacement:
         self._lag: FloatArray = np.zeros((3, 3))
         self.stress: FloatArray = np.zeros((3, 3))
         self._limits = [float(chdtri(n, c.phase_false_alarm)) for n in range(1, SLOTS + 1)]
+        self._together = SlipSearch[_Fit](lambda found: found.chi_square)
         self.counts = {"slips_found": 0, "arcs": 0, "contradictions": 0, "doubted": 0}
 
     @property
@@ -287,6 +289,12 @@ class PhaseDisplacement:
             worst = found.rows[int(np.argmax(np.abs(found.normalised)))]
             refused[worst] = True
             found = self._fit(epoch, y, noise, known & ~refused, epoch.design)
+        if refused.sum() > 1 or (found is not None and not self._passes(found)):
+            together = self._together.search(
+                epoch.time, known, self.config.max_slips,
+                lambda good: self._agreeing(self._fit(epoch, y, noise, good, epoch.design)),
+            )  # fmt: skip
+            found, refused = together or (found, refused)
         if found is None or found.freedom == 0:
             return found, refused
         if not self._passes(found):
@@ -294,6 +302,9 @@ class PhaseDisplacement:
         self._learn_noise(found, epoch.interval)
         self.counts["slips_found"] += int(refused.sum())
         return found, refused
+
+    def _agreeing(self, found: _Fit | None) -> _Fit | None:
+        return found if found is not None and found.freedom > 1 and self._passes(found) else None
 
     def _passes(self, found: _Fit) -> bool:
         return found.freedom == 0 or found.chi_square <= self._limits[found.freedom - 1]

@@ -169,7 +169,7 @@ class PhasePositions:
         Once a second it is looked for better orbits.
         """
         rows, orbits = [], []
-        phase = np.isfinite(o.carrier_phase_cycles).tolist()
+        phase = np.isfinite(o.carrier_phase_cycles + o.pseudorange + o.cn0_dbhz).tolist()
         if gps_ns % NS_PER_S == 0:
             self._orbits.clear()
         for row, name in enumerate(o.satellites):

@@ -85,6 +85,7 @@ def fill_observations(
     """Fill RTKLIB's observations (``obsd_t``) of an epoch, GPS L1; return how many.
 
     Satellites whose phases may be half a cycle off are left out: RTKLIB would fix them as well.
+    So are those without a pseudorange or C/N0.
 
     Parameters
     ----------
@@ -99,14 +100,19 @@ def fill_observations(
     """
     o, slips, count = values, set(slipped), 0
     time = gpst(o.week, o.tow_ns * 1e-9)
-    phase = np.nan_to_num(o.carrier_phase_cycles)
+    whole = np.isfinite(o.pseudorange + o.cn0_dbhz).tolist()
+    # A phase or Doppler that is not there is zero to RTKLIB.
+    carriers = [
+        np.where(np.isfinite(field), field, 0.0).tolist()
+        for field in (o.carrier_phase_cycles, o.carrier_doppler_hz)
+    ]
     rows = zip(
-        o.satellites, o.pseudorange.tolist(), phase.tolist(), o.carrier_doppler_hz.tolist(),
-        o.cn0_dbhz.tolist(), o.lli.tolist(), strict=True,
+        whole, o.satellites, o.pseudorange.tolist(), *carriers, o.cn0_dbhz.tolist(),
+        o.lli.tolist(), strict=True,
     )  # fmt: skip
-    for name, code, carrier, doppler, cn0, lli in rows:
+    for is_whole, name, code, carrier, doppler, cn0, lli in rows:
         number = rtklib.satid2no(name)
-        if number <= 0 or lli & Lli.HALF_CYCLE:
+        if not is_whole or number <= 0 or lli & Lli.HALF_CYCLE:
             continue
         d = into[first + count]
         d.time, d.sat, d.rcv = time, number, receiver
