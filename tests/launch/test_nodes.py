@@ -19,7 +19,7 @@ from deepseis_bringup.supervisor import own_domain
 from deepseis_core.ros import qos
 from deepseis_msgs.msg import Observations, Watermark
 
-pytestmark = [pytest.mark.launch, pytest.mark.timeout(60)]
+pytestmark = [pytest.mark.launch, pytest.mark.timeout(150)]
 
 NODES = {
     "if_source": ("deepseis_frontend", "if_source"),
@@ -64,7 +64,7 @@ def listener(environment):
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
 
-    def until(condition, seconds=20.0):
+    def until(condition, seconds=40.0):
         deadline = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < deadline, "did not happen in time"
