@@ -13,6 +13,7 @@ from rosbags.highlevel import AnyReader
 from unit.pvt.rtklib_reference import epochs
 
 from deepseis_bringup.bags.info import bag_info
+from deepseis_bringup.bags.mcap_file import McapFile
 from deepseis_bringup.bags.run_records import input_hash, recorded_run, run_records
 from deepseis_bringup.graph import GraphConfig, build_graph
 from deepseis_core.geodesy import geodetic_from_ecef
@@ -105,6 +106,31 @@ def test_records_depend_on_the_input_alone(recording, satellites, tmp_path):
         return run_records(config, build_graph(config), "0")
 
     assert records("one") == records("two")
+
+
+def test_a_replay_takes_what_was_set_for_the_fusion_and_not_what_the_bag_tells(
+    recording, satellites, tmp_path
+):
+    found = {"imu_grade": "mti-g", "monument_ecef": [1.0, 2.0, 3.0], "start_s": 5.0}
+    config = GraphConfig(
+        source={"file": str(recording.if_path)},
+        sample_rate_hz=RATE,
+        satellites=satellites,
+        aiding="fusion",
+        parameters={
+            "fusion": {**found, "coupling": "tight"},
+            "seismic_event": {"hypocentre": [1]},
+        },
+    )
+    path = tmp_path / "a.mcap"
+    writer = McapFile(path)
+    for name, values in run_records(config, build_graph(config), "0").items():
+        writer.add_metadata(name, values)
+    writer.close()
+    parameters = recorded_run(path).parameters
+    assert parameters["fusion"] == {"coupling": "tight"}
+    assert parameters["seismic_event"] == {"hypocentre": [1]}
+    assert parameters["motion_state"] == {}
 
 
 def test_the_fix_is_near_the_truth_as_its_covariance_says(recorded, recording):

@@ -21,6 +21,14 @@ from deepseis_frontend.imu_open import is_bag, open_imu
 from deepseis_frontend.imu_rosbag import ImuRosbag
 from deepseis_frontend.nodes.station_bag import LOOKED_AT, read_station
 
+TOLD_BY_SOURCE = frozenset(
+    (
+        *("start_utc_ns", "start_s", "sample_rate_hz", "imu_rate_hz", "imu_grade"),
+        *("monument_ecef", "antenna_lever_arm", "imu_to_antenna", "imu_orientation_xyzw"),
+    )
+)
+"""Parameters of the inertial half that a recording tells by itself."""
+
 
 def has_imu(path: Path) -> bool:
     """Tell whether a bag begins with samples of an IMU that has gyroscopes.

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from deepseis_bringup.graph import GraphConfig, NodeSpec, build_graph
+from deepseis_bringup.inertial import TOLD_BY_SOURCE
 from deepseis_core.errors import InputError
 from deepseis_core.mcap_scan import McapScan
 from deepseis_frontend.if_bag import bag_files, mcap_files
@@ -25,7 +26,9 @@ PLACES = frozenset({"directory", "output_dir", "records"})
 """Parameters that tell where a run went, not what came out."""
 
 SHAPING = ("acquisition", "tracker", "pvt")
-"""Kinds of nodes whose parameters shape the result of a replay."""
+INERTIAL = ("motion_state", "fusion", "seismic_event")
+"""Kinds of nodes whose parameters shape the result of a replay; of the inertial ones without what
+the replay finds in the recording."""
 
 VERSIONS = ("numpy", "numba", "scipy", "rclpy", "mcap")
 
@@ -72,11 +75,19 @@ def run_records(
             "mode": config.mode,
             "one_process": str(config.one_process),
             "aiding": config.aiding,
-            "parameters": _json({k: dict(config.parameters.get(k, {})) for k in SHAPING}),
+            "parameters": _json(_shaping(config.parameters)),
         },
         "parameters": {s.name: _json(_without_places(s.parameters)) for s in specs},
         "graph": {s.name: _json(_place_in_graph(s)) for s in specs},
     }
+
+
+def _shaping(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    inertial = {
+        kind: {k: v for k, v in parameters.get(kind, {}).items() if k not in TOLD_BY_SOURCE}
+        for kind in INERTIAL
+    }
+    return {kind: dict(parameters.get(kind, {})) for kind in SHAPING} | inertial
 
 
 def _place_in_graph(spec: NodeSpec) -> dict[str, Any]:
