@@ -107,7 +107,8 @@ def test_the_imu_comes_back_at_the_present_and_the_aiding_with_it(faults):
     assert (np.diff(at) > 0).all(), "nothing is played twice"
     (hole,) = np.flatnonzero(np.diff(at) > 0.0051)
     assert abs(at[hole] - gone.died) < 0.5
-    assert abs(at[hole + 1] - gone.back) < 0.5, "not from the bag's beginning"
+    # The new process' first word may be noticed here later than its first samples were sent.
+    assert gone.died < at[hole + 1] < gone.back + 0.5, "not from the bag's beginning"
     spans = decoded(payloads, "aiding/doppler", codecs.DOPPLER_AIDING)
     begins = np.array([span.valid_from for span in spans]) / RATE_HZ
     valid = np.array([span.valid for span in spans])
