@@ -106,10 +106,8 @@ def bag_info(path: str | Path) -> BagInfo:
         info.damaged_chunks += scan.damaged_chunks
         end = file_end(file)
         info.has_index &= end.is_sound
-        told = end.message_count
-        info.passed_over += (
-            max(0, (told or 0) - info.message_count + before) if not scan.damaged_chunks else 0
-        )
+        if end.message_count is not None and not scan.damaged_chunks:
+            info.passed_over += max(0, end.message_count - (info.message_count - before))
         info.cut_at = info.cut_at if scan.cut_at is None else scan.cut_at
     return info
 
