@@ -2,11 +2,12 @@
 
 import stat
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
-from deepseis_bringup import executables
+from deepseis_bringup import executables, supervisor
 from deepseis_bringup.graph import NodeSpec
 from deepseis_bringup.restarts import RestartConfig, Restarts, State
 from deepseis_bringup.supervisor import NodeFailureError, Supervisor
@@ -184,3 +185,31 @@ def test_in_lockstep_a_death_ends_the_run(supervise, tmp_path):
         nodes.processes["if_source"].kill()
         nodes.stop()
     assert lives(tmp_path) == 1
+
+
+DEAF = """
+import faulthandler, signal, time
+faulthandler.register(signal.SIGQUIT)
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+def waits_for_ever():
+    print("born", flush=True)
+    time.sleep(60)
+waits_for_ever()
+"""
+
+
+def test_a_node_that_does_not_end_is_killed_and_its_log_tells_where_it_stood(
+    supervise, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(supervisor, "STOP_SECONDS", 1.0)
+    nodes = supervise(deaths=0)
+    script(tmp_path / "fusion", DEAF)
+    (tmp_path / "lives").write_text("+")
+    nodes.start()
+    nodes.wait(timeout=40)
+    while "born" not in nodes.last_line("fusion"):
+        time.sleep(0.02)
+    nodes.stop()
+    with pytest.raises(NodeFailureError, match="node fusion: did not end: killed after 1 s"):
+        nodes.raise_failure()
+    assert "waits_for_ever" in nodes.log_of("fusion").read_text()

@@ -72,6 +72,7 @@ class Supervisor:
     environment: Mapping[str, str] = field(default_factory=dict)
     restarts: Restarts | None = None
     processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+    stuck: set[str] = field(default_factory=set)
 
     def start(self) -> None:
         """Start every process.
@@ -192,6 +193,10 @@ class Supervisor:
         if status == BAD_INPUT:
             what, _, reason = line.removeprefix(f"{name}: ").partition(": ")
             raise InputError(what, reason)
+        if name in self.stuck:
+            raise NodeFailureError(
+                name, "did not end", f"killed after {STOP_SECONDS:g} s", self.log_of(name)
+            )
         raise NodeFailureError(name, ending(status), line, self.log_of(name))
 
     def stop(self) -> None:
@@ -201,15 +206,18 @@ class Supervisor:
 
     def end(self, names: Sequence[str]) -> None:
         """Interrupt these nodes and wait for them; kill what does not end."""
-        processes = [self.processes[name] for name in names if name in self.processes]
-        for process in processes:
+        processes = {name: self.processes[name] for name in names if name in self.processes}
+        for process in processes.values():
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
         deadline = time.monotonic() + STOP_SECONDS
-        for process in processes:
+        for name, process in processes.items():
             try:
                 process.wait(max(0.1, deadline - time.monotonic()))
             except subprocess.TimeoutExpired:
+                self.stuck.add(name)
+                process.send_signal(signal.SIGQUIT)  # its log tells where it stands
+                time.sleep(0.5)
                 process.kill()
                 process.wait()
 

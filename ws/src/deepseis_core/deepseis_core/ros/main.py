@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import signal
 import sys
@@ -17,7 +18,11 @@ from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from deepseis_core.errors import DiskError, InputError
+from deepseis_core.ros.exit_guard import leave_within
 from deepseis_core.ros.reach import choose_reach
+
+LEAVE_SECONDS = 6.0
+"""Time for DDS and the interpreter to take themselves apart once all files are closed [s]."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +65,7 @@ def run(build: Callable[[Process], None], name: str, args: list[str] | None = No
     a failure.
     """
     choose_reach(os.environ)
+    faulthandler.register(signal.SIGQUIT)  # where a process stands that does not end
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rcl has many names for arguments that it cannot read
@@ -99,6 +105,8 @@ def run(build: Callable[[Process], None], name: str, args: list[str] | None = No
         except Exception:
             traceback.print_exc()
             status = status or 1
+    faulthandler.dump_traceback_later(0.9 * LEAVE_SECONDS)
+    leave_within(LEAVE_SECONDS, status)
     for node in process.nodes:
         node.destroy_node()
     rclpy.try_shutdown()
