@@ -74,6 +74,7 @@ def test_a_tracker_killed_in_lockstep_ends_the_run_and_is_named(recorded, tmp_pa
     assert 0 < info.topics["/if/samples"].count < DURATION * 50
 
 
+@pytest.mark.timeout(120)
 def test_without_a_supervisor_the_source_names_the_dead_member(recording, satellites, tmp_path):
     specs = graph(recording, tmp_path, satellites, record=False)
     with own_domain() as environment:
@@ -83,7 +84,7 @@ def test_without_a_supervisor_the_source_names_the_dead_member(recording, satell
             with GraphWatch(environment) as watch:
                 until(lambda: watch.poll() > RATE)
             nodes.processes["pvt"].kill()
-            # DDS believes in a silent participant for its lease of 8 s.
+            # DDS believes in a silent participant for its lease of 30 s.
             nodes.processes["if_source"].wait(timeout=70)
             nodes.processes["trackers"].wait(timeout=30)
         finally:

@@ -102,7 +102,8 @@ def test(arguments: list[str], *, full: bool, skip_check: bool) -> int:
     """Run the checks, then pytest; return the exit status.
 
     All tests run on two processes, a module's on the same, but for those that need the machine to
-    themselves; what is chosen by arguments runs in one.
+    themselves; of these one that fails runs once more, and the summary tells what it failed with.
+    What is chosen by arguments runs in one process, once.
     """
     passed = skip_check or check()
     speed = "" if full else "not slow"
@@ -111,7 +112,8 @@ def test(arguments: list[str], *, full: bool, skip_check: bool) -> int:
     else:
         beside = ["-n", "2", "--dist", "loadscope", "-m"]
         rest = f" and {speed}" if speed else ""
-        runs = [[*beside, f"not ({ALONE}){rest}"], ["-m", f"({ALONE}){rest}"]]
+        alone = ["--reruns", "1", "-rR", "-m", f"({ALONE}){rest}"]
+        runs = [[*beside, f"not ({ALONE}){rest}"], alone]
     sys.stdout.flush()
     statuses = [
         subprocess.run(
