@@ -35,8 +35,8 @@ def leave_within(seconds: float, status: int) -> None:
     """End this process with ``status`` if it has not ended by itself in time.
 
     Fast DDS may lock itself up while a process leaves (its issue 6502: a peer's lease is checked
-    in the moment in which another peer goes), and rclpy holds the interpreter's lock then: no thread
-    and no signal handler of Python would run. So a timer of the C library calls ``_exit``.
+    in the moment in which another peer goes), and rclpy holds the interpreter's lock then, so that
+    no thread and no signal handler of Python runs. A timer of the C library calls ``_exit``.
 
     Parameters
     ----------
