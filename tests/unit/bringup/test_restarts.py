@@ -4,12 +4,15 @@ import stat
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from deepseis_bringup import executables, supervisor
 from deepseis_bringup.graph import NodeSpec
 from deepseis_bringup.restarts import RestartConfig, Restarts, State
+from deepseis_bringup.silence import Silence
+from deepseis_bringup.station import end_silence
 from deepseis_bringup.supervisor import NodeFailureError, Supervisor
 from deepseis_core.errors import InputError
 
@@ -210,6 +213,44 @@ def test_a_node_that_does_not_end_is_killed_and_its_log_tells_where_it_stood(
     while "born" not in nodes.last_line("fusion"):
         time.sleep(0.02)
     nodes.stop()
-    with pytest.raises(NodeFailureError, match="node fusion: did not end: killed after 1 s"):
+    with pytest.raises(NodeFailureError, match="node fusion: did not end within 1 s: killed"):
         nodes.raise_failure()
     assert "waits_for_ever" in nodes.log_of("fusion").read_text()
+
+
+def test_a_node_that_says_nothing_while_the_source_goes_on_is_started_again(supervise, tmp_path):
+    restarts = Restarts(RestartConfig(backoff_s=(0.0,)))
+    nodes = supervise(deaths=2, restarts=restarts)
+    (tmp_path / "lives").write_text("++")  # neither this life ends by itself nor the next
+    script(tmp_path / "if_source", SOURCE.format(here=str(tmp_path), lives=3))
+    told = []
+    watch = SimpleNamespace(silence=Silence(limit_s=20.0), utc_ns=0, say=told.append)
+    watch.silence.hear("fusion", 100.0)
+    nodes.start()
+    while "born" not in nodes.last_line("fusion"):
+        time.sleep(0.02)
+    for second in range(100, 121):
+        watch.utc_ns = second * 1_000_000_000
+        end_silence(nodes, watch)
+        nodes.tend("if_source")
+    assert (told, restarts.count) == ([], 0)
+    watch.utc_ns += 1_000_000_000
+    end_silence(nodes, watch)
+    nodes.wait(timeout=40)
+    nodes.stop()
+    assert told == [
+        f"fusion: said nothing for 20 s and was killed; {nodes.log_of('fusion')} may have "
+        "where it stood"
+    ]
+    assert restarts.count == 1
+    assert restarts.fates["fusion"].reason == "said nothing for 20 s and was killed"
+    assert nodes.statuses() == {"if_source": 0, "fusion": 0}
+
+
+def test_nodes_behind_one_that_stands_still_are_given_time():
+    silence = Silence(limit_s=20.0)
+    for name in ("trackers", "pvt"):
+        silence.hear(name, 0.0)
+    assert silence.broken(["trackers", "pvt"], 21.0) == "trackers"
+    assert silence.broken(["trackers", "pvt"], 40.0) is None  # not heard of again: it begins
+    assert silence.broken(["trackers", "pvt"], 42.0) == "pvt"

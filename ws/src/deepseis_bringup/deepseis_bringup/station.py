@@ -21,6 +21,7 @@ from deepseis_bringup.bags.run_records import versions
 from deepseis_bringup.graph import build_graph
 from deepseis_bringup.live.live_page import LivePage, live_page
 from deepseis_bringup.restarts import Restarts
+from deepseis_bringup.silence import Silence
 from deepseis_bringup.station_config import StationConfig
 from deepseis_bringup.supervisor import Supervisor, running
 from deepseis_bringup.watch import GraphWatch
@@ -55,6 +56,7 @@ class StationWatch(GraphWatch):
         self.texts: dict[str, str] = {}
         self.levels: dict[str, bytes] = {}
         self.ended: set[str] = set()
+        self.silence = Silence()
         self.node.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, qos.STREAM
         )
@@ -94,6 +96,7 @@ class StationWatch(GraphWatch):
             name = node_of(status)
             level, before = bytes(status.level), self.levels.get(name, b"\0")
             self.texts[name], self.levels[name] = status.message, level
+            self.silence.hear(name, self.utc_ns / 1e9)
             if level > before:
                 self.say(f"{name}: {status.message}")
 
@@ -265,8 +268,24 @@ def _follow(
         if time.monotonic() - shown > 0.1:
             shown = time.monotonic()
             show(watch.line(rate_hz))
+            end_silence(supervisor, watch)
 
     supervisor.wait(poll=poll)
+
+
+def end_silence(supervisor: Supervisor, watch: StationWatch) -> None:
+    """Kill a node that lives and says nothing: it is started again like one that has died."""
+    restarts, silence = supervisor.restarts, watch.silence
+    if restarts is None:
+        return
+    for missing in restarts.missing:
+        silence.forget(missing)
+    names = [spec.name for spec in supervisor.specs if spec.name not in restarts.never]
+    name = silence.broken(names, watch.utc_ns / 1e9)
+    if name is not None and supervisor.processes[name].poll() is None:
+        why = f"said nothing for {silence.limit_s:g} s and was killed"
+        watch.say(f"{name}: {why}; {supervisor.log_of(name)} may have where it stood")
+        supervisor.kill_stuck(name, why)
 
 
 def _drain(supervisor: Supervisor, watch: StationWatch, members: list[str]) -> None:

@@ -72,7 +72,7 @@ class Supervisor:
     environment: Mapping[str, str] = field(default_factory=dict)
     restarts: Restarts | None = None
     processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
-    stuck: set[str] = field(default_factory=set)
+    stuck: dict[str, str] = field(default_factory=dict)
 
     def start(self) -> None:
         """Start every process.
@@ -145,7 +145,8 @@ class Supervisor:
             status = None if name == until or restarts.waits(name) else process.poll()
             if status is None:
                 continue
-            if status == BAD_INPUT or not restarts.died(name, ending(status)):
+            how = self.stuck.pop(name, ending(status))
+            if status == BAD_INPUT or not restarts.died(name, how):
                 self.raise_failure()
         by_name = {spec.name: spec for spec in self.specs}
         for name in restarts.due():
@@ -194,9 +195,7 @@ class Supervisor:
             what, _, reason = line.removeprefix(f"{name}: ").partition(": ")
             raise InputError(what, reason)
         if name in self.stuck:
-            raise NodeFailureError(
-                name, "did not end", f"killed after {STOP_SECONDS:g} s", self.log_of(name)
-            )
+            raise NodeFailureError(name, self.stuck[name], "killed", self.log_of(name))
         raise NodeFailureError(name, ending(status), line, self.log_of(name))
 
     def stop(self) -> None:
@@ -215,11 +214,15 @@ class Supervisor:
             try:
                 process.wait(max(0.1, deadline - time.monotonic()))
             except subprocess.TimeoutExpired:
-                self.stuck.add(name)
-                process.send_signal(signal.SIGQUIT)  # its log tells where it stands
-                time.sleep(0.5)
-                process.kill()
+                self.kill_stuck(name, f"did not end within {STOP_SECONDS:g} s")
                 process.wait()
+
+    def kill_stuck(self, name: str, why: str) -> None:
+        """Kill a node that stands still; its log tells where."""
+        self.stuck[name] = why
+        self.processes[name].send_signal(signal.SIGQUIT)
+        time.sleep(0.3)
+        self.processes[name].kill()
 
     def statuses(self) -> dict[str, int | None]:
         """Return the exit status of every process; None: runs, or will be started again."""
