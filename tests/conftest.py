@@ -20,4 +20,4 @@ def pytest_terminal_summary(terminalreporter):
     """Show what a test failed with that ran once more: passing then is no excuse."""
     for report in terminalreporter.getreports("rerun"):
         terminalreporter.section(f"first try of {report.nodeid}", red=True)
-        report.toterminal(terminalreporter)
+        terminalreporter.write_line(report.longreprtext)

@@ -254,3 +254,26 @@ def test_nodes_behind_one_that_stands_still_are_given_time():
     assert silence.broken(["trackers", "pvt"], 21.0) == "trackers"
     assert silence.broken(["trackers", "pvt"], 40.0) is None  # not heard of again: it begins
     assert silence.broken(["trackers", "pvt"], 42.0) == "pvt"
+
+
+CULPRIT = """
+import sys, time
+time.sleep(1.5)
+print("if_source: bag.mcap: is damaged at byte 7", flush=True)
+sys.exit(2)
+"""
+FOLLOWER = """
+import sys
+print("fusion: if_source gave up: bag.mcap: is damaged at byte 7", flush=True)
+sys.exit(1)
+"""
+
+
+def test_who_gave_up_is_named_also_if_it_ends_after_those_that_it_told(supervise, tmp_path):
+    nodes = supervise(deaths=0)
+    script(tmp_path / "if_source", CULPRIT)
+    script(tmp_path / "fusion", FOLLOWER)
+    nodes.start()
+    with pytest.raises(InputError, match=r"bag\.mcap: is damaged at byte 7") as caught:
+        nodes.wait(timeout=40)
+    assert not isinstance(caught.value, NodeFailureError)

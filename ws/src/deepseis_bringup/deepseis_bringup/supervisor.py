@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import signal
 import subprocess
 import time
@@ -22,6 +23,12 @@ from deepseis_core.errors import InputError
 
 STOP_SECONDS = 20.0
 """Time a node has to finish its files after SIGINT [s]."""
+
+CULPRIT_SECONDS = 5.0
+"""Time for a node that has told the others that it gives up to end [s]."""
+
+GAVE_UP = re.compile(r": (\w+) gave up: ")
+"""What a node says as its last word that ends because of another (`deepseis_core.ros.flow`)."""
 
 BAD_INPUT = 2
 """Exit status of a node that cannot use its input or parameters: no accident."""
@@ -187,7 +194,7 @@ class Supervisor:
         """
         if self.failed() is None:
             return
-        time.sleep(0.3)  # others name the culprit as well; bad input and signals are causes
+        self._await_culprits()
         ended = {name: status for name, status in self.statuses().items() if status}
         name, status = min(ended.items(), key=lambda item: (item[1] != BAD_INPUT, item[1] > 0))
         line = self.last_line(name)
@@ -197,6 +204,18 @@ class Supervisor:
         if name in self.stuck:
             raise NodeFailureError(name, self.stuck[name], "killed", self.log_of(name))
         raise NodeFailureError(name, ending(status), line, self.log_of(name))
+
+    def _await_culprits(self) -> None:
+        """Wait for the end of who others say has given up; bad input and signals are causes."""
+        time.sleep(0.3)
+        deadline = time.monotonic() + CULPRIT_SECONDS
+        while time.monotonic() < deadline:
+            ended = [name for name, status in self.statuses().items() if status]
+            named = {GAVE_UP.search(self.last_line(name)) for name in ended}
+            culprits = [match[1] for match in named if match and match[1] in self.processes]
+            if all(self.processes[name].poll() is not None for name in culprits):
+                return
+            time.sleep(0.05)
 
     def stop(self) -> None:
         """End everything that still runs, the recorder last; kill what does not end."""
