@@ -146,6 +146,33 @@ def test_positions_of_pvt_while_precise_ones_are_lost(
     assert engine.statistics["updates"] == pytest.approx(10 * (5.0 - 0.15), abs=2)
 
 
+def afloat(precise: Sequence[PrecisePosition], begin: float) -> list[PrecisePosition]:
+    """Let positions from a time [s] on be from a place that nobody knows."""
+    elsewhere = {"status": int(PreciseStatus.CALIBRATING), "datum": 1}
+    return [
+        replace(item, displacement_enu=item.displacement_enu + [7.0, -4.0, 2.0], **elsewhere)
+        if item.sample_index >= begin * RATE
+        else item
+        for item in precise
+    ]
+
+
+def test_after_a_second_without_phases_their_place_is_what_the_imu_says(
+    run: FusionBench, precise: list[PrecisePosition]
+) -> None:
+    lost = without(precise, 17.0, 18.0)
+    unknown = run.run(run.engine(precise=without(precise, 17.0, 40.0)), 26.0)
+    t, error, sd = displacement(run.run(run.engine(precise=afloat(lost, 18.0)), 26.0))
+    whole = displacement(run.run(run.engine(precise=precise), 26.0))[1]
+    after = (t > 18.3) & (t < 25.8)
+    # The second at 2 g: attitude (0.01 deg) and biases, and PVT's positions, to some mm.
+    extra = (error - whole)[after]
+    assert np.abs(extra).max() < 0.012
+    assert np.std(extra, axis=0).max() < 0.001, "one offset, and no motion of its own"
+    assert 0.3 < rms((error / sd)[after]) < 1.6
+    assert rms(extra) < 0.3 * rms(displacement(unknown)[1][after])
+
+
 def test_positions_shown_as_motion_are_an_epoch_apart_also_after_a_loss(
     run: FusionBench, precise: list[PrecisePosition]
 ) -> None:

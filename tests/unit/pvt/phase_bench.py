@@ -84,7 +84,7 @@ class Phases:
         phase = self.bias + self.A @ free + self.noise * self.rng.normal(size=m)
         self.lock = self.lock + dt
         self.lock[list(slipped)] = 0.0
-        rows = np.array([k for k in range(m) if k not in lost])
+        rows = np.array([k for k in range(m) if k not in lost], np.int64)
         return PhaseEpoch(
             time=self.time,
             interval=dt,

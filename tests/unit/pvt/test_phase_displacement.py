@@ -190,21 +190,52 @@ def test_four_satellites_are_solved_and_three_are_not():
     )
 
 
-def test_all_lost_at_once_waits_for_rest():
+def test_all_lost_at_once_goes_on_from_a_place_that_is_not_known():
+    phases = Phases(FIRM, motion=circle(10.0), noise=0.0)
+    solver = filter_of(FIRM)
+    phases.run(solver, 10.0, True)
+    assert {s.datum for s in phases.run(solver, 0.6, False)} == {0}
+    every = tuple(range(10))
+    for lost in (1, 2):
+        assert phases.run(solver, 0.2, False, lost=every) == [None, None]
+        phases.bias += 3.0 * np.arange(10.0)
+        assert solver.solve(phases.epoch(slipped=every), False) is None
+        pulling_in = phases.run(solver, FIRM.datum_lock_s, False)
+        assert pulling_in == [None] * 3, "phases that have just locked are not trusted"
+        start = phases.time + phases.interval
+        moving = phases.run(solver, 1.0, False)
+        assert {s.datum for s in moving} == {lost}
+        away = errors(phases, moving, start)
+        assert np.abs(away - away[0]).max() < 1e-9
+        assert np.abs(away[0]).max() > 0.001
+    assert solver.counts["afloat"] == 2
+
+
+def test_a_rest_after_a_loss_of_all_has_the_surveyed_place_again():
     phases = Phases(PhaseConfig(), motion=circle(10.0), drift=0.0)
     solver = filter_of(PhaseConfig())
     phases.run(solver, 10.0, True)
-    solver.solve(phases.epoch(slipped=tuple(range(10))), False)
-    assert phases.run(solver, 1.0, False) == [None] * 10
+    assert solver.solve(phases.epoch(slipped=tuple(range(10))), False) is None
+    assert phases.run(solver, 1.0, False)[-1].datum == 1
     phases.motion = lambda t: np.zeros(3)
     reference = solver.reference.config
-    assert phases.run(solver, 0.9 * reference.settle_s, True)[-1] is None
+    afloat = phases.run(solver, 0.9 * reference.settle_s, True)
+    assert {s.datum for s in afloat} == {1}
     back = phases.run(solver, 10.0, True)[-1]
     # Where it has come to rest nobody knows: the surveyed place again, and it is said how surely.
-    assert back.calibrated
+    assert (back.datum, back.calibrated) == (0, True)
     sd = np.sqrt(np.diag(back.covariance)[:3])
     assert (sd >= reference.lost_sd).all()
     assert (np.abs(back.displacement) < 3.0 * sd).all()
+
+
+def test_without_enough_satellites_there_is_no_new_place():
+    phases = Phases(FIRM, count=5, motion=circle(10.0), noise=0.0)
+    solver = filter_of(FIRM)
+    phases.run(solver, 10.0, True)
+    solver.solve(phases.epoch(slipped=tuple(range(5))), False)
+    assert phases.run(solver, 2.0, False, lost=(0,)) == [None] * 20
+    assert solver.datum == 0
 
 
 def test_unexpected_noise_is_seen_in_the_residuals_and_owned_up_to():

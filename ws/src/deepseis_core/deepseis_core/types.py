@@ -241,7 +241,8 @@ class PrecisePosition:
     """Antenna from carrier phases, one epoch; the fields of ``PrecisePosition.msg``.
 
     ``displacement_enu`` [m] is from the surveyed place, east, north, up there;
-    ``common_covariance_enu`` is the part of its covariance that neighbouring epochs share.
+    ``common_covariance_enu`` is the part of its covariance that neighbouring epochs share. With a
+    ``datum`` other than 0 it is from a place that is not known, the same for all of that datum.
     """
 
     sample_index: int
@@ -260,6 +261,7 @@ class PrecisePosition:
     rejected: tuple[str, ...] = ()
     ratio: float = float("nan")
     base_age: float = float("nan")
+    datum: int = 0
 
 
 class DisplacementSource(IntEnum):

@@ -21,7 +21,7 @@ class PreciseEpoch:
     ----------
     sample_index : int
     kind : str
-        Method and status: what has a slow error of its own.
+        Method, status and datum: what has a slow error of its own.
     position_ecef, noise_ecef : ndarray, shapes (3,), (3, 3)
         Position and covariance of its noise [m, m^2].
     common_ecef : ndarray, shape (3, 3)
@@ -47,7 +47,7 @@ class PreciseEpoch:
     def of(
         cls, value: PrecisePosition, antenna_ecef: FloatArray, C_enu_e: FloatArray
     ) -> PreciseEpoch | None:
-        """Turn a message's value; None where it does not say where the antenna is.
+        """Turn a message's value; None where it does not say how the antenna moves.
 
         Parameters
         ----------
@@ -57,13 +57,13 @@ class PreciseEpoch:
         C_enu_e : ndarray, shape (3, 3)
             Axes there.
         """
-        if not is_placed(value):
+        if not (is_placed(value) or is_afloat(value)):
             return None
         common_enu = np.reshape(value.common_covariance_enu, (3, 3))
         noise_enu = np.reshape(value.covariance_enu, (3, 3)) - common_enu
         return cls(
             value.sample_index,
-            f"{value.method} {int(value.status)}",
+            f"{value.method} {int(value.status)} {value.datum}",
             antenna_ecef + value.displacement_enu @ C_enu_e,
             C_enu_e.T @ noise_enu @ C_enu_e,
             C_enu_e.T @ common_enu @ C_enu_e,
@@ -93,6 +93,14 @@ def is_placed(value: PrecisePosition) -> bool:
         value.common_covariance_enu, (3, 3)
     )
     return value.status >= PreciseStatus.PHASE and is_measured(value.displacement_enu, noise)
+
+
+def is_afloat(value: PrecisePosition) -> bool:
+    """Return whether a precise position says how the antenna moves, from a place not known."""
+    noise = np.reshape(value.covariance_enu, (3, 3)) - np.reshape(
+        value.common_covariance_enu, (3, 3)
+    )
+    return value.datum > 0 and is_measured(value.displacement_enu, noise)
 
 
 def is_measured(value: FloatArray, covariance: FloatArray) -> bool:

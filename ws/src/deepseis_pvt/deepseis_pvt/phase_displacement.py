@@ -39,6 +39,8 @@ CLOCK: Final = 3
 """Index of the clock in the free part; before it east, north, up."""
 FEWEST_BELIEVED: Final = 5
 """Satellites whose arcs must reach back for what was learnt since to be forgotten."""
+FEWEST_AFLOAT: Final = 5
+"""Satellites whose phases go on together from a place that is not known."""
 LONGEST_GAP: Final = 60.0
 """A satellite that has been away for longer begins anew [s]."""
 STRESS_MEMORY: Final = 0.3
@@ -106,6 +108,9 @@ class PhaseDisplacement:
         At the last epoch the antenna was where ``reference`` says.
     doubts : bool
         At the last epoch a rest ended whose last part is not believed.
+    datum : int
+        0: displacements are from the surveyed place. Otherwise all phases were lost in motion, so
+        often until now, and displacements are from where the antenna was when they went on.
     """
 
     def __init__(
@@ -128,7 +133,8 @@ class PhaseDisplacement:
         self.stress: FloatArray = np.zeros((3, 3))
         self._limits = [float(chdtri(n, c.phase_false_alarm)) for n in range(1, SLOTS + 1)]
         self._together = SlipSearch[_Fit](lambda found: found.chi_square)
-        self.counts = {"slips_found": 0, "arcs": 0, "contradictions": 0, "doubted": 0}
+        self.datum = 0
+        self.counts = {"slips_found": 0, "arcs": 0, "contradictions": 0, "doubted": 0, "afloat": 0}
 
     @property
     def members(self) -> IntArray:
@@ -172,9 +178,16 @@ class PhaseDisplacement:
         solution = None
         if free is not None:
             solution = self._solution(epoch, free, refused, noise)
-        self.at_rest = self._is_at_reference(epoch.time, still, solution)
-        self._calibrate(epoch, innovation, noise, known & ~refused, free, self.at_rest)
-        self._watch_creep(epoch, model, ~(known & ~refused))
+        self.at_rest = self._is_at_reference(epoch.time, still, None if self.datum else solution)
+        good = known & ~refused
+        if self.at_rest and self.datum:
+            good, self.datum = self._all_anew(epoch), 0
+        elif free is None and not self.at_rest and self._can_go_on(epoch):
+            self.counts["afloat"] += 1
+            good, self.datum = self._all_anew(epoch), self.counts["afloat"]
+            free = self._datum(epoch, CLOCK + 1)
+        self._calibrate(epoch, innovation, noise, good, free, self.at_rest)
+        self._watch_creep(epoch, model, ~good)
         self.calibrated += dt if self.at_rest and self.members.size >= CLOCK + 1 else 0.0
         if self.at_rest and self.memory.due(epoch.time):
             state, P, arc = self.state.copy(), self.P.copy(), self._arc.copy()
@@ -340,6 +353,7 @@ class PhaseDisplacement:
             used=np.isfinite(residual),
             refused=refused,
             calibrated=self.calibrated >= self.config.calibration_s,
+            datum=self.datum,
         )
 
     def _stress(self, epoch: PhaseEpoch, found: _Fit) -> FloatArray:
@@ -371,11 +385,12 @@ class PhaseDisplacement:
         if still:
             design = np.ascontiguousarray(epoch.design[:, CLOCK:])
             offset = epoch.design[:, :CLOCK] @ self.reference.position
-            found = self._fit(epoch, y - offset, noise, good, design) or self._datum(epoch)
+            found = self._fit(epoch, y - offset, noise, good, design)
+            if found is None:
+                found, self.calibrated = self._datum(epoch, 1), 0.0
         if found is None:
             return
-        rows = found.rows
-        fresh = np.flatnonzero(~good)
+        rows, fresh = found.rows, np.flatnonzero(~good)
         slow = noise * self._shared(epoch)
         started = self._start(epoch, found, fresh, design, offset, slow)
         if len(rows) > len(found.x):
@@ -385,14 +400,32 @@ class PhaseDisplacement:
             )  # fmt: skip
         self._enter(epoch, fresh, *started)
 
-    def _datum(self, epoch: PhaseEpoch) -> _Fit:
-        """Begin: the clock is what the codes say; only its changes mean anything."""
-        self.calibrated = 0.0
+    def _can_go_on(self, epoch: PhaseEpoch) -> bool:
+        """Tell whether phases are there again after all were lost in motion.
+
+        Displacements then go on from wherever the antenna is: who knows that, as an INS does for
+        some seconds, has millimetres again.
+        """
+        locked = ~epoch.slipped & (epoch.lock_time >= self.config.datum_lock_s)
+        return self.reference.moved and int(locked.sum()) >= FEWEST_AFLOAT
+
+    def _all_anew(self, epoch: PhaseEpoch) -> NDArray[np.bool_]:
+        """Let no bias hold any more; return which satellites of the epoch are known: none."""
+        for slot in self.members.tolist():
+            self._forget(slot)
+        return np.zeros(len(epoch.slot), np.bool_)
+
+    def _datum(self, epoch: PhaseEpoch, unknowns: int) -> _Fit:
+        """Begin: the clock is what the codes say; only its changes mean anything.
+
+        Of four unknowns the others are zero: displacements are from where the antenna is now.
+        """
         none = np.zeros(0)
-        clock = np.median(epoch.residual + epoch.code_less_phase) if len(epoch.slot) else 0.0
+        x = np.zeros(unknowns)
+        x[-1] = np.median(epoch.residual + epoch.code_less_phase) if len(epoch.slot) else 0.0
         return _Fit(
-            none.astype(np.int64), np.array([clock]), np.zeros((1, 1)),
-            np.zeros((1, 0)), none, none, 0.0,
+            none.astype(np.int64), x, np.zeros((unknowns, unknowns)), np.zeros((unknowns, 0)),
+            none, none, 0.0,
         )  # fmt: skip
 
     def _start(

@@ -44,6 +44,10 @@ class PhaseConfig(DoubtConfig):
     bias_rate_memory_s: float = setting(
         30.0, "correlation time of that rate [s]", low=1.0, high=1e5
     )
+    datum_lock_s: float = setting(
+        0.3, "of phases that go on after all were lost in motion, from a place not known [s]",
+        low=0.02, high=60.0,
+    )  # fmt: skip
     calibration_s: float = setting(3.0, "stillness before displacements count [s]", low=0.1)
     phase_false_alarm: float = setting(
         1e-5, "of the outlier test, per epoch [-]", low=1e-12, high=0.1
@@ -97,7 +101,7 @@ class PhaseSolution:
 
     ``covariance`` is of both, ``common`` the part of it that stays the same for many epochs
     (biases and the reference, not noise). ``used`` are the satellites of the solution,
-    ``refused`` those whose phases the others contradict.
+    ``refused`` those whose phases the others contradict. ``datum`` 0: from the surveyed place.
     """
 
     displacement: FloatArray
@@ -109,3 +113,4 @@ class PhaseSolution:
     used: NDArray[np.bool_]
     refused: NDArray[np.bool_]
     calibrated: bool
+    datum: int = 0

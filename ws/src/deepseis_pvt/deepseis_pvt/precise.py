@@ -318,7 +318,8 @@ def position_of(
 ) -> PrecisePosition:
     """Return a solution as the value that crosses packages."""
     o, used = observations, solution.used
-    status = PreciseStatus.PHASE if solution.calibrated else PreciseStatus.CALIBRATING
+    placed = solution.calibrated and solution.datum == 0
+    status = PreciseStatus.PHASE if placed else PreciseStatus.CALIBRATING
     return PrecisePosition(
         sample_index=o.sample_index,
         week=o.week,
@@ -334,4 +335,5 @@ def position_of(
         satellites=tuple(name for name, use in zip(names, used, strict=True) if use),
         phase_residual=solution.residual[used].astype(np.float32),
         rejected=tuple(name for name, use in zip(names, used, strict=True) if not use),
+        datum=solution.datum,
     )
