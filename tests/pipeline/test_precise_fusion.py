@@ -23,6 +23,8 @@ SHAKING = (14.0, 26.0)
 JUMP = (0.05, -0.05, 0.1)
 """[m]"""
 NOISE = (1e-3, 1e-3, 2.5e-3)
+OFF = np.array([7.0, -4.0, 2.0])
+"""[m]"""
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +152,7 @@ def afloat(precise: Sequence[PrecisePosition], begin: float) -> list[PrecisePosi
     """Let positions from a time [s] on be from a place that nobody knows."""
     elsewhere = {"status": int(PreciseStatus.CALIBRATING), "datum": 1}
     return [
-        replace(item, displacement_enu=item.displacement_enu + [7.0, -4.0, 2.0], **elsewhere)
+        replace(item, displacement_enu=item.displacement_enu + OFF, **elsewhere)
         if item.sample_index >= begin * RATE
         else item
         for item in precise

@@ -390,7 +390,8 @@ class PhaseDisplacement:
                 found, self.calibrated = self._datum(epoch, 1), 0.0
         if found is None:
             return
-        rows, fresh = found.rows, np.flatnonzero(~good)
+        starts = ~good & self._settled(epoch) if self.datum else ~good
+        rows, fresh = found.rows, np.flatnonzero(starts)
         slow = noise * self._shared(epoch)
         started = self._start(epoch, found, fresh, design, offset, slow)
         if len(rows) > len(found.x):
@@ -399,6 +400,7 @@ class PhaseDisplacement:
                 design[rows], slow[rows],
             )  # fmt: skip
         self._enter(epoch, fresh, *started)
+        self._seen[epoch.slot[good | starts]] = epoch.time
 
     def _can_go_on(self, epoch: PhaseEpoch) -> bool:
         """Tell whether phases are there again after all were lost in motion.
@@ -406,8 +408,12 @@ class PhaseDisplacement:
         Displacements then go on from wherever the antenna is: who knows that, as an INS does for
         some seconds, has millimetres again.
         """
-        locked = ~epoch.slipped & (epoch.lock_time >= self.config.datum_lock_s)
-        return self.reference.moved and int(locked.sum()) >= FEWEST_AFLOAT
+        return self.reference.moved and int(self._settled(epoch).sum()) >= FEWEST_AFLOAT
+
+    def _settled(self, epoch: PhaseEpoch) -> NDArray[np.bool_]:
+        """Tell whose loops have locked for a while, with the aiding that they ought to have."""
+        settled = ~epoch.slipped & (epoch.lock_time >= self.config.datum_lock_s)
+        return settled if epoch.alone is None else settled & ~epoch.alone
 
     def _all_anew(self, epoch: PhaseEpoch) -> NDArray[np.bool_]:
         """Let no bias hold any more; return which satellites of the epoch are known: none."""
@@ -459,7 +465,6 @@ class PhaseDisplacement:
             row[slots] = 0.0
             self.P[slot, :] = self.P[:, slot] = row
         self.P[np.ix_(slots, slots)] = block
-        self._seen[epoch.slot] = epoch.time
         self._broken[slots] = False
         self._arc[slots] += 1
         self.counts["arcs"] += len(slots)
