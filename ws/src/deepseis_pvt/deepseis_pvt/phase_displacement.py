@@ -411,9 +411,11 @@ class PhaseDisplacement:
         return self.reference.moved and int(self._settled(epoch).sum()) >= FEWEST_AFLOAT
 
     def _settled(self, epoch: PhaseEpoch) -> NDArray[np.bool_]:
-        """Tell whose loops have locked for a while, with the aiding that they ought to have."""
+        """Tell whose loops have locked for a while, with bits and the aiding they ought to have."""
         settled = ~epoch.slipped & (epoch.lock_time >= self.config.datum_lock_s)
-        return settled if epoch.alone is None else settled & ~epoch.alone
+        for unsettled in (epoch.alone, epoch.early):
+            settled &= True if unsettled is None else ~unsettled
+        return settled
 
     def _all_anew(self, epoch: PhaseEpoch) -> NDArray[np.bool_]:
         """Let no bias hold any more; return which satellites of the epoch are known: none."""

@@ -78,7 +78,8 @@ class PhaseEpoch:
     before, ``lock_time`` for how long it has gone on [s]. ``code_less_phase`` [m] gives the
     codes' residuals: where the clock begins. ``lag`` is what discriminators say that the phases
     lag behind, and its open-loop sigma [m]; None: nothing. ``alone`` are loops that lack the
-    aiding that they ought to have, and are wider; None: none.
+    aiding that they ought to have, and are wider, ``early`` those that do not know the data bits'
+    edges yet, and integrate for 1 ms; None: none.
     """
 
     time: float
@@ -93,6 +94,7 @@ class PhaseEpoch:
     code_less_phase: FloatArray
     lag: tuple[FloatArray, FloatArray] | None = None
     alone: NDArray[np.bool_] | None = None
+    early: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)

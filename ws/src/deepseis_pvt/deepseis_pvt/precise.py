@@ -29,6 +29,7 @@ from deepseis_core.types import (
     Observations,
     PrecisePosition,
     PreciseStatus,
+    TrackingFlag,
 )
 from deepseis_pvt import phase_kernels as kernels
 from deepseis_pvt.ephemeris_book import EphemerisBook
@@ -244,6 +245,7 @@ class PhasePositions:
             lag=self._lag(o, rows, alone),
             code_less_phase=o.pseudorange[rows] - o.carrier_phase_cycles[rows] * L1_WAVELENGTH,
             alone=alone,
+            early=(o.flags[rows] & TrackingFlag.BIT_SYNC) == 0,
         )
         return epoch, [o.satellites[row] for row in rows]
 

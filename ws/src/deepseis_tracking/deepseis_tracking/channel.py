@@ -25,6 +25,7 @@ from deepseis_tracking.aiding_span import REASONS, AidingSpan, AidLimits
 from deepseis_tracking.baseband_window import BasebandWindow
 from deepseis_tracking.channel_state import CONFIG, EPOCH, EPOCH_FIELDS, STATE
 from deepseis_tracking.loop_filter import LoopGains, design_loop
+from deepseis_tracking.nco import aid_at
 from deepseis_tracking.replica import ReplicaBank
 
 MS_PER_WEEK = 604_800_000
@@ -72,6 +73,9 @@ class TrackingConfig:
     code_lock_dbhz: float = setting(27.0, "C/N0 that declares code lock [dB-Hz]", low=10, high=40)
     loss_dbhz: float = setting(23.0, "C/N0 that counts as lost [dB-Hz]", low=10, high=40)
     loss_s: float = setting(1.0, "give the signal up after so long below loss_dbhz [s]", low=0.1)
+    bridge_s: float = setting(
+        2.0, "loops go on behind a gap of samples up to so long [s]", low=0, high=10
+    )
     relock_s: float = setting(
         1.5, "pull in again after so long without phase lock; 0: never [s]", low=0, high=1e6
     )
@@ -232,6 +236,33 @@ class Channel:
         state["pending_flags"] |= int(TrackingFlag.SLIP)
         self.decoder = LnavDecoder(self.satellite, self.reference_week)
         self.half_cycle, self._turned = 0.0, False
+
+    def bridge(self, sample_index: int) -> bool:
+        """Go on behind missing samples, where it is known well enough where the signal is there.
+
+        Parameters
+        ----------
+        sample_index : int
+            First sample that is there again.
+
+        Returns
+        -------
+        bool
+            False: too much is missing, or no subframe has confirmed the bit edges; see `drop`.
+        """
+        state, aiding = self.state, self.aiding
+        missing_s = (sample_index - int(state["next_sample"])) / self.sample_rate_hz
+        known = self.mode >= TrackingMode.TRACK and state["transmit_ms"] >= 0
+        if not (known and 0.0 <= missing_s <= self.config.bridge_s):
+            return False
+        doppler_hz = float(state["nco_hz"])
+        if self.mode == TrackingMode.TRACK_AIDED and self.config.aiding_form == "velocity":
+            start, rate_hz = float(state["next_sample"]), self.sample_rate_hz
+            record = aiding.record[0]
+            doppler_hz += aid_at(start, record, aiding.knots, aiding.rates, rate_hz)
+            doppler_hz += float(state["clock_hz"])
+        channel_kernel.bridge(self.states, self.configs, sample_index, doppler_hz)
+        return True
 
     def drop(self, flag: TrackingFlag) -> None:
         """Give the signal up, e.g. because samples are missing."""

@@ -29,7 +29,7 @@ from deepseis_tracking.slip_detector import is_quiet, may_have_slipped
 
 IDLE, PULL_IN, BIT_SYNC, TRACK, TRACK_AIDED = 0, 1, 2, 3, 4
 CODE_LOCK, PHASE_LOCK, BIT_SYNCED, POLARITY_KNOWN, SLIP = 1, 2, 4, 8, 16
-AID_MISSED, AID_DIVERGED = 64, 128
+AID_MISSED, AID_DIVERGED, GAP = 64, 128, 256
 AIDED_RELOCK_S = 0.5
 """Aiding has misled a loop that lacks phase lock so long on a signal that is there [s]."""
 LONGEST_WAIT_S = 64.0
@@ -94,6 +94,31 @@ def _restart(state: Any, residual_hz: float) -> None:
     state.pending_flags |= SLIP
     if state.transmit_ms < 0:
         state.bit_offset = -1  # no subframe has confirmed it
+
+
+@njit(cache=True, nogil=True)
+def bridge(states: np.ndarray, configs: np.ndarray, sample_index: int, doppler_hz: float) -> None:
+    """Go on behind missing samples: at the first code period from ``sample_index`` on.
+
+    Code phase, transmit time and bit edges are carried over at a constant Doppler; a phase is to
+    be pulled in anew. A signal that is not there is given up as soon as its power says so.
+    """
+    state, config = states[0], configs[0]
+    chips = (CA_RATE_CPS + doppler_hz * CARRIER_TO_CODE) / config.sample_rate
+    missing = sample_index - state.next_sample
+    periods = math.ceil((state.code_phase + missing * chips) / CA_LENGTH)
+    count = math.ceil((periods * CA_LENGTH - state.code_phase) / chips)
+    state.code_phase += count * chips - periods * CA_LENGTH
+    state.next_sample += count
+    state.carrier_phase += count * doppler_hz / config.sample_rate
+    state.period_count += periods
+    state.transmit_ms = (state.transmit_ms + periods) % 604_800_000
+    state.slope_hz = 0.0
+    _restart(state, doppler_hz)
+    state.code_slope = 0.0
+    state.weak_s = 0.0
+    state.power = min(state.power, 10.0 ** (0.1 * config.code_lock_dbhz))
+    state.pending_flags |= GAP
 
 
 @njit(cache=True, nogil=True)

@@ -118,7 +118,7 @@ class TrackingEngine:
         self.slot = -1
         self.done_through = -1
         self.joined_at = self._stale_through = -1
-        self.counters = {"blocks": 0, "gaps": 0, "aid_missed": 0, "late_results": 0}
+        self.counters = dict.fromkeys(("blocks", "gaps", "bridged", "aid_missed", "late_results"), 0)
 
     def compile(self) -> None:
         """Compile the kernels (or load them from the cache) before samples arrive."""
@@ -190,7 +190,7 @@ class TrackingEngine:
     def _follows_a_gap(self, block: IfBlock) -> bool:
         """Tell a block before which samples are missing.
 
-        Its channels are dropped, so it has no use for aiding; and who makes the aiding waits for
+        Its channels begin anew, so they have no use for aiding; and who makes the aiding waits for
         observations, which cannot go on through the gap before this block is done.
         """
         return 0 <= self.done_through < block.sample_index - 1
@@ -254,7 +254,7 @@ class TrackingEngine:
         return output
 
     def _prepare(self, block: IfBlock) -> None:
-        """Baseband of the block; channels are dropped where samples are missing."""
+        """Baseband of the block; where samples are missing channels go on behind, or are dropped."""
         if self.baseband is None:
             self.baseband = Baseband.for_block(block)
             history = block.sample_count + int(0.025 * block.sample_rate_hz)
@@ -268,7 +268,10 @@ class TrackingEngine:
         if not self.window.push(i, q, block.sample_index):
             self.counters["gaps"] += 1
             for channel in self.channels.values():
-                channel.drop(TrackingFlag.GAP)
+                if channel.bridge(block.sample_index):
+                    self.counters["bridged"] += 1
+                else:
+                    channel.drop(TrackingFlag.GAP)
 
     def _hand_over(self, start: int, known: int) -> None:
         """Give results that are due, and known by then, to idle channels."""
