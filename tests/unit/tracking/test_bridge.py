@@ -1,5 +1,7 @@
 """Loops go on behind a gap of samples: code and time are known there, the phase is found anew."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from unit.tracking.one_signal import BLOCK, RATE, Signal, aiding_of, circle, column
@@ -14,7 +16,7 @@ FIRST = 4.2
 
 
 def run(signal, missing, seconds, *, aided=True, config=None, gone=False):
-    """Track, with blocks missing from `FIRST` on; returns channel, epochs, and what bridge says."""
+    """Track, with blocks missing from `FIRST` on; return channel, epochs, what bridge says."""
     channel = Channel("G07", RATE, config or TrackingConfig())
     channel.hand_over(signal.result(), 0)
     window, aiding, epochs, bridged = BasebandWindow(BLOCK + 60_000), aiding_of(signal), [], None
@@ -41,8 +43,12 @@ def run(signal, missing, seconds, *, aided=True, config=None, gone=False):
 def test_behind_a_gap_time_and_code_are_right_at_once_and_the_phase_soon(missing, aided):
     signal = Signal(46.0, motion=circle)
     # Alone a loop needs the wide design for 2 g.
-    config = None if aided else TrackingConfig(pll_order=3, pll_bandwidth_hz=40.0, integration_ms=2)
-    channel, epochs, bridged = run(signal, missing, FIRST + missing + 1.5, aided=aided, config=config)
+    config = (
+        None if aided else TrackingConfig(pll_order=3, pll_bandwidth_hz=40.0, integration_ms=2)
+    )
+    channel, epochs, bridged = run(
+        signal, missing, FIRST + missing + 1.5, aided=aided, config=config
+    )
     assert bridged
     assert channel.mode >= TrackingMode.TRACK
     start = column(epochs, "sample_index") / RATE
@@ -81,3 +87,29 @@ def test_a_long_gap_or_bits_that_no_subframe_confirms_are_not_bridged():
     assert not channel.bridge(round(FIRST * RATE) + 1000)
     channel.state["mode"] = TrackingMode.IDLE
     assert not channel.bridge(round(FIRST * RATE) + 1000)
+
+
+@pytest.mark.parametrize("chips_off", [0.0, 300.0])
+def test_a_satellite_found_again_knows_its_time_if_the_code_is_where_it_should_be(chips_off):
+    signal = Signal(46.0)
+    channel, epochs, _ = run(signal, 0.0, FIRST, aided=False)
+    channel.drop(TrackingFlag.SLIP)
+    at = 30.0  # 25.8 s later; by a Doppler 4 Hz off
+    chips = signal.code_chips(at) + chips_off
+    found = replace(
+        signal.result(), sample_index=round(at * RATE), code_phase_chips=chips % 1023.0
+    )
+    channel.hand_over(found, round(at * RATE))
+    state = channel.state
+    if chips_off:
+        assert (state["transmit_ms"], state["bit_offset"]) == (-1, -1)
+        return
+    start, transmit = column(epochs, "sample_index"), column(epochs, "transmit_ms")
+    sent = (
+        transmit[-1]
+        + (column(epochs, "code_phase_chips")[-1] - signal.code_chips(start[-1] / RATE)) / 1023
+    )
+    there = signal.code_chips(state["next_sample"] / RATE) / 1023.0
+    assert state["transmit_ms"] == round(sent + there)
+    edges = (state["transmit_ms"] + state["bit_offset"]) % 20
+    assert edges == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,10 @@ from deepseis_tracking.nco import aid_at
 from deepseis_tracking.replica import ReplicaBank
 
 MS_PER_WEEK = 604_800_000
+RECALL_S = 60.0
+"""Of a satellite that is found again so soon it is known when its signal was sent [s]."""
+RECALL_MS = 0.1
+"""... if its code lies where it should by then, to so much [ms]."""
 IDLE = int(TrackingMode.IDLE)
 _KEPT = (
     *("carrier_phase", "pending_flags", "noise"),
@@ -114,6 +119,14 @@ class TrackingConfig:
     )
 
 
+class _Sent(NamedTuple):
+    """A code period's first sample, its code phase there [chips], when it was sent [ms]."""
+
+    sample_index: int
+    code_phase: float
+    transmit_ms: int
+
+
 class Channel:
     """One satellite from hand-over to observables.
 
@@ -164,6 +177,7 @@ class Channel:
         self.polarity_turns = 0
         self.lost = 0
         self.just_dropped = False
+        self._sent: _Sent | None = None
 
     def _numbers(self) -> NDArray[np.void]:
         config, numbers = self.config, np.zeros(1, CONFIG)
@@ -233,9 +247,37 @@ class Channel:
         state["cn0"] = result.cn0_dbhz
         state["code_lock"] = 1
         state["power"] = 10 ** (result.cn0_dbhz / 10)
+        sent_ms = self._recall(int(state["next_sample"]), float(state["code_phase"]), doppler)
+        if sent_ms >= 0:
+            state["transmit_ms"], state["bit_offset"] = sent_ms, -sent_ms % 20
         state["pending_flags"] |= int(TrackingFlag.SLIP)
         self.decoder = LnavDecoder(self.satellite, self.reference_week)
         self.half_cycle, self._turned = 0.0, False
+
+    def _remember(self) -> None:
+        """Keep when the present code period was sent, while a lock and a subframe tell."""
+        state = self.state
+        if self.mode >= TrackingMode.TRACK and state["phase_lock"] and state["transmit_ms"] >= 0:
+            self._sent = _Sent(
+                int(state["next_sample"]), float(state["code_phase"]), int(state["transmit_ms"])
+            )
+
+    def _recall(self, sample_index: int, code_phase: float, doppler_hz: float) -> int:
+        """Return when a code period was sent [ms of week], of a satellite lost not long ago.
+
+        A constant Doppler of 20 Hz too much is 0.8 chips after a minute; a period is 1023. What
+        does not agree to `RECALL_MS` is something else; -1.
+        """
+        if self._sent is None:
+            return -1
+        elapsed = (sample_index - self._sent.sample_index) / self.sample_rate_hz
+        if not 0.0 <= elapsed <= RECALL_S:
+            return -1
+        parts = (self._sent.code_phase - code_phase) / CA_LENGTH
+        periods = parts + 1e3 * elapsed * (1.0 + doppler_hz / L1_HZ)
+        if abs(periods - round(periods)) > RECALL_MS:
+            return -1
+        return (self._sent.transmit_ms + round(periods)) % MS_PER_WEEK
 
     def bridge(self, sample_index: int) -> bool:
         """Go on behind missing samples, where it is known well enough where the signal is there.
@@ -332,6 +374,7 @@ class Channel:
         diverged = rows["flags"] & int(TrackingFlag.AID_DIVERGED)
         self.aid_dropped["diverged"] += int(np.count_nonzero(diverged))
         self._bit_offset = max(self._bit_offset, int(self.state["bit_offset"]))
+        self._remember()
         ephemerides = self._navigation(rows)
         if self.mode == IDLE:
             self.lost += was_active

@@ -118,7 +118,8 @@ class TrackingEngine:
         self.slot = -1
         self.done_through = -1
         self.joined_at = self._stale_through = -1
-        self.counters = dict.fromkeys(("blocks", "gaps", "bridged", "aid_missed", "late_results"), 0)
+        counted = "blocks", "gaps", "bridged", "aid_missed", "late_results"
+        self.counters = dict.fromkeys(counted, 0)
 
     def compile(self) -> None:
         """Compile the kernels (or load them from the cache) before samples arrive."""

@@ -25,6 +25,7 @@ CIRCLING: Final = 19.0, 48.0
 GRADE: Final = "span-fsas"
 """Of both scenes' IMU."""
 CLIP_G: Final = 1.5
+GAP_S: Final = 0.4
 MASK_EVERY_S: Final = 5.0
 MASKED_S: Final = 2.0
 SCENES: Final[dict[str, tuple[str, ...]]] = {
@@ -95,6 +96,7 @@ def _of(scene: str) -> list[Case]:
         known,
         _with(f"IMU clips at {CLIP_G:g} g, 4 s, range not known", scene, clip, outage=False),
         _with(f"no signal for {dark:g} s", scene, Fault("no-signal", at, dark)),
+        _with(f"IF gap of {GAP_S:g} s", scene, Fault("if-gap", at, GAP_S)),
         Case("aiding away for 3 s", scene, at, at + 3.0, aiding_away=True),
     ]
     if not long:

@@ -73,6 +73,7 @@ class RunRecord:
     aiding: list[tuple[float, bool]] = field(default_factory=list)
     pvt: list[tuple[float, bool]] = field(default_factory=list)
     precise: list[tuple[float, bool, FloatArray]] = field(default_factory=list)
+    phases: list[tuple[float, bool]] = field(default_factory=list)
     rtk: list[tuple[float, bool, FloatArray]] = field(default_factory=list)
     fused: list[Displacement] = field(default_factory=list)
     flags: dict[str, list[tuple[float, int]]] = field(default_factory=dict)
@@ -127,6 +128,8 @@ class RunRecord:
         stream = self.precise if topic == "gnss/precise" else self.rtk
         time = (value.tow_ns - self.start_tow_ns) * 1e-9
         stream.append((time, value.status >= least, np.asarray(value.displacement_enu)))
+        if topic == "gnss/precise":  # from a place not known too: the fusion knows it
+            self.phases.append((time, value.status >= least or value.datum > 0))
 
     def _take_epochs(self, value: TrackingEpochs) -> None:
         rows = self.flags.setdefault(value.satellite, [])
@@ -152,7 +155,7 @@ class RunRecord:
         found = {
             "aiding": _timeline(self.aiding),
             "position": _timeline(self.pvt),
-            "phase displacement": _timeline([(at, good) for at, good, _ in self.precise]),
+            "phase displacement": _timeline(self.phases),
             "fused displacement": (t, np.ones(t.size, np.bool_)),
         }
         for name, rows in sorted(self.flags.items()):

@@ -278,7 +278,7 @@ class Day:
         self.inertial.push_pvt(pvt)
         for topic, value in self.precise.solve(epoch):
             self.inertial.push_position(topic, value)
-            if value.status >= PreciseStatus.PHASE:
+            if value.status >= PreciseStatus.PHASE or value.datum > 0:
                 self.holes["phase displacement"].add(now)
 
     def _position(self, epoch: Observations) -> Pvt:
