@@ -173,6 +173,10 @@ def test_after_a_second_without_phases_their_place_is_what_the_imu_says(
     assert np.std(extra, axis=0).max() < 0.001, "one offset, and no motion of its own"
     assert 0.3 < rms((error / sd)[after]) < 1.6
     assert rms(extra) < 0.3 * rms(displacement(unknown)[1][after])
+    # A filter that does not know its own place so well leaves it to PVT.
+    lost_too = run.engine(FusionConfig(afloat_sd=0.001), precise=afloat(lost, 18.0))
+    left = displacement(run.run(lost_too, 26.0))[1] - displacement(unknown)[1]
+    assert np.abs(left).max() < 1e-6  # of dt: what was not used is an epoch all the same
 
 
 def test_positions_shown_as_motion_are_an_epoch_apart_also_after_a_loss(

@@ -93,23 +93,33 @@ def test_a_long_gap_or_bits_that_no_subframe_confirms_are_not_bridged():
 def test_a_satellite_found_again_knows_its_time_if_the_code_is_where_it_should_be(chips_off):
     signal = Signal(46.0)
     channel, epochs, _ = run(signal, 0.0, FIRST, aided=False)
-    channel.drop(TrackingFlag.SLIP)
-    at = 30.0  # 25.8 s later; by a Doppler 4 Hz off
-    chips = signal.code_chips(at) + chips_off
-    found = replace(
-        signal.result(), sample_index=round(at * RATE), code_phase_chips=chips % 1023.0
-    )
-    channel.hand_over(found, round(at * RATE))
-    state = channel.state
-    if chips_off:
-        assert (state["transmit_ms"], state["bit_offset"]) == (-1, -1)
-        return
     start, transmit = column(epochs, "sample_index"), column(epochs, "transmit_ms")
-    sent = (
-        transmit[-1]
-        + (column(epochs, "code_phase_chips")[-1] - signal.code_chips(start[-1] / RATE)) / 1023
+    chips = signal.code_chips(start / RATE)
+    ahead = transmit - (chips - column(epochs, "code_phase_chips")) / CA_LENGTH
+    channel.drop(TrackingFlag.SLIP)
+    signal = Signal(46.0)
+    signal.start_chips += chips_off
+    first, last = 300, 325  # blocks: 1.8 s later, half a second
+    at = first * BLOCK
+    found = replace(
+        signal.result(), sample_index=at, code_phase_chips=signal.code_chips(at / RATE) % 1023
     )
-    there = signal.code_chips(state["next_sample"] / RATE) / 1023.0
-    assert state["transmit_ms"] == round(sent + there)
-    edges = (state["transmit_ms"] + state["bit_offset"]) % 20
-    assert edges == 0
+    channel.hand_over(found, at)
+    window, later = BasebandWindow(BLOCK + 60_000), []
+    for index in range(first, last):
+        window.push(*signal.block(index), index * BLOCK)
+        later.append(channel.advance(window, index * BLOCK, -1)[0])
+    transmit, flags = column(later, "transmit_ms"), column(later, "flags")
+    start = column(later, "sample_index") / RATE
+    pulling_in = start < at / RATE + 0.25
+    assert (transmit[pulling_in] < 0).all(), "not before the code is pulled in"
+    if chips_off:
+        assert (transmit < 0).all()
+        return
+    known = start > at / RATE + 0.28
+    assert (flags[known] & TrackingFlag.BIT_SYNC > 0).all()
+    right = (signal.code_chips(start) - column(later, "code_phase_chips"))[known] / CA_LENGTH
+    assert transmit[known] - right == pytest.approx(ahead[-1], abs=1e-3)
+    state = channel.state
+    assert (state["transmit_ms"] - state["period_count"] + state["bit_offset"]) % 20 == 0
+    assert channel.mode == TrackingMode.TRACK, "0.35 s: no bit synchronisation anew"

@@ -120,6 +120,10 @@ class FusionConfig:
     rtk_growth: float = setting(
         1e-4, "random walk of their slow error [m/sqrt(s)]", low=0.0, high=1.0
     )
+    afloat_sd: float = setting(
+        0.1, "precise positions from a place not known are followed by a filter that knows its own"
+        " so well [m]", low=0.001, high=10.0,
+    )  # fmt: skip
     rtk_return_s: float = setting(
         10.0, "what crept without the base is worked off in that time once it is back [s]",
         low=0.1, high=1e4,

@@ -28,6 +28,8 @@ class PreciseEpoch:
         Covariance of what neighbouring epochs share: biases that creep [m^2].
     clock_bias, clock_bias_sd : float
         Receiver clock times c, and sigma of its change [m].
+    afloat : bool
+        It is from a place that is not known, the same for all of its kind.
     """
 
     sample_index: int
@@ -37,6 +39,7 @@ class PreciseEpoch:
     common_ecef: FloatArray
     clock_bias: float
     clock_bias_sd: float
+    afloat: bool = False
 
     @property
     def against_base(self) -> bool:
@@ -69,6 +72,7 @@ class PreciseEpoch:
             C_enu_e.T @ common_enu @ C_enu_e,
             value.clock_bias,
             value.clock_bias_sd,
+            value.datum > 0,
         )
 
 

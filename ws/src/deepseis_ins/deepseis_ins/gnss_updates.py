@@ -181,6 +181,8 @@ class GnssUpdates:
         if is_back:
             return Used(None, self._refused(offsets, epoch, row))
         if known is None:  # a kind that was never compared with a known place
+            if epoch.afloat and not self._knows_its_place(offsets, epoch.sample_index):
+                return Used(None, offsets)  # it would keep what PVT can still put right
             off = epoch.position_ecef - self._antenna_at(row, epoch.sample_index)
             return Used(None, self._refer(offsets, epoch, off))
         if epoch.kind in offsets.home:
@@ -205,6 +207,12 @@ class GnssUpdates:
             )
             return Used(update, used)
         return Used(update, self._refused(offsets, epoch, row))
+
+    def _knows_its_place(self, offsets: GnssOffsets, sample_index: int) -> bool:
+        """Tell whether the filter's position is good enough to refer others' to it."""
+        seconds = sample_index / self.sample_rate_hz
+        place = position_covariance_ecef(self.filter) + offsets.crept(seconds)
+        return bool(np.linalg.eigvalsh(place)[-1] < self.config.afloat_sd**2)
 
     def _refused(self, offsets: GnssOffsets, epoch: PreciseEpoch, row: int) -> GnssOffsets:
         """Count a position that is not used; after some, refer its kind to the filter's."""

@@ -411,7 +411,7 @@ class PhaseDisplacement:
         return self.reference.moved and int(self._settled(epoch).sum()) >= FEWEST_AFLOAT
 
     def _settled(self, epoch: PhaseEpoch) -> NDArray[np.bool_]:
-        """Tell whose loops have locked for a while, know their bits, and are not without aiding."""
+        """Tell whose loops have locked for a while, know their bits, and do not lack aiding."""
         settled = ~epoch.slipped & (epoch.lock_time >= self.config.datum_lock_s)
         for unsettled in (epoch.alone, epoch.early):
             settled &= True if unsettled is None else ~unsettled

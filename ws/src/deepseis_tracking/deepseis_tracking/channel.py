@@ -178,6 +178,7 @@ class Channel:
         self.lost = 0
         self.just_dropped = False
         self._sent: _Sent | None = None
+        self._found_again = False
 
     def _numbers(self) -> NDArray[np.void]:
         config, numbers = self.config, np.zeros(1, CONFIG)
@@ -247,20 +248,26 @@ class Channel:
         state["cn0"] = result.cn0_dbhz
         state["code_lock"] = 1
         state["power"] = 10 ** (result.cn0_dbhz / 10)
-        sent_ms = self._recall(int(state["next_sample"]), float(state["code_phase"]), doppler)
-        if sent_ms >= 0:
-            state["transmit_ms"], state["bit_offset"] = sent_ms, -sent_ms % 20
+        self._found_again = self._sent is not None
         state["pending_flags"] |= int(TrackingFlag.SLIP)
         self.decoder = LnavDecoder(self.satellite, self.reference_week)
         self.half_cycle, self._turned = 0.0, False
 
     def _remember(self) -> None:
-        """Keep when the present code period was sent, while a lock and a subframe tell."""
+        """Keep when the present code period was sent, while a lock and a subframe tell.
+
+        A satellite found again gets its time and bit edges from that once its code is pulled in.
+        """
         state = self.state
+        now, code_phase = int(state["next_sample"]), float(state["code_phase"])
         if self.mode >= TrackingMode.TRACK and state["phase_lock"] and state["transmit_ms"] >= 0:
-            self._sent = _Sent(
-                int(state["next_sample"]), float(state["code_phase"]), int(state["transmit_ms"])
-            )
+            self._sent = _Sent(now, code_phase, int(state["transmit_ms"]))
+        elif self._found_again and self.mode >= TrackingMode.BIT_SYNC:
+            self._found_again = False
+            sent_ms = self._recall(now, code_phase, float(state["nco_hz"]))
+            if sent_ms >= 0:
+                state["transmit_ms"] = sent_ms
+                state["bit_offset"] = (state["period_count"] - sent_ms) % 20
 
     def _recall(self, sample_index: int, code_phase: float, doppler_hz: float) -> int:
         """Return when a code period was sent [ms of week], of a satellite lost not long ago.
@@ -268,8 +275,7 @@ class Channel:
         A constant Doppler of 20 Hz too much is 0.8 chips after a minute; a period is 1023. What
         does not agree to `RECALL_MS` is something else; -1.
         """
-        if self._sent is None:
-            return -1
+        assert self._sent is not None
         elapsed = (sample_index - self._sent.sample_index) / self.sample_rate_hz
         if not 0.0 <= elapsed <= RECALL_S:
             return -1

@@ -255,7 +255,7 @@ class TrackingEngine:
         return output
 
     def _prepare(self, block: IfBlock) -> None:
-        """Baseband of the block; where samples are missing channels go on behind, or are dropped."""
+        """Baseband of the block; where samples are missing channels go on, or are dropped."""
         if self.baseband is None:
             self.baseband = Baseband.for_block(block)
             history = block.sample_count + int(0.025 * block.sample_rate_hz)
