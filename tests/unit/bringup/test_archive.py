@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 
 import pytest
@@ -329,6 +330,27 @@ def test_a_disk_that_stays_full_costs_the_middle_and_the_bag_says_so(tmp_path, s
     assert int(said_so["count"]) == lost
     assert int(said_so["start_ns"]) == START + (300 - lost) * SECOND
     assert int(said_so["end_ns"]) == START + 299 * SECOND
+
+
+def test_what_was_lost_is_told_also_before_its_file_is_finished(tmp_path, small):
+    goes_on = threading.Event()
+    with archive(tmp_path / "bag", patient=True, flush_interval=0.0, split_s=30.0) as bag:
+        bag._worker.submit(goes_on.wait, 20.0)  # whoever finishes files is busy
+        write(bag, 0, 20)
+        wait_for(lambda: not bag.file.unwritten, "not written")
+        small[0] = 3_000
+        wait_for(lambda: write(bag, 20, 21) or bag.file.trouble is not None, "no trouble")
+        write(bag, 100, 300)
+        lost, first = bag.state().lost, bag.file
+        small[0] = 10**9
+        wait_for(lambda: bag.file.trouble is None, "no recovery")
+        write(bag, 300, 310)
+        split, unfinished = bag.file is not first, bag.state().lost
+        goes_on.set()
+        bag.settle()
+        assert split
+        assert lost > 100
+        assert [unfinished, bag.state().lost] == [lost, lost]
 
 
 def test_a_disk_that_is_full_at_the_end_leaves_whole_chunks_and_an_error(tmp_path, small):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import errno
 import os
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -183,6 +184,8 @@ class Archive(BagWriter):
         self._fault: BaseException | None = None
         self._head: McapFile | None = None
         self._worker = ThreadPoolExecutor(1, "finishes files")
+        self._unfinished: tuple[McapFile, ...] = ()
+        self._account = threading.Lock()
         super().__init__(folder, records, **options)
 
     def write(
@@ -228,6 +231,8 @@ class Archive(BagWriter):
         longest = round(self.config.split_s * NS) or span[1] - span[0]
         length_ns = min(abs(now_ns - self._began_ns), longest)
         facts = (span, length_ns, self._number, self._at_begin)
+        with self._account:
+            self._unfinished += (done,)
         self._worker.submit(self._finish, done, facts)
         self._number += 1
         self._at_begin = dict(self._latched)
@@ -238,7 +243,9 @@ class Archive(BagWriter):
         try:
             with suppress(InputError):  # a full disk: its messages can be read without its index
                 file.close()
-            self._lost += file.unwritten + sum(part.count for part in file.dropped)
+            with self._account:
+                self._lost += file.unwritten + _dropped(file)
+                self._unfinished = tuple(item for item in self._unfinished if item is not file)
             facts = (file.path, file.channels, file.counts, file.start_ns, file.end_ns, file.size)
             self.splits.append(Split(*facts, *about))
             self.make_room()
@@ -358,9 +365,14 @@ class Archive(BagWriter):
             deleted=self._deleted,
             oldest_ns=splits[0].span_ns[0] if splits else self._began_ns,
             newest_ns=self.newest_ns,
-            lost=self._lost + sum(part.count for part in self.file.dropped),
+            lost=self._dropped_so_far(),
             trouble="" if trouble is None else trouble.strerror or str(trouble),
         )
+
+    def _dropped_so_far(self) -> int:
+        """Count messages that are lost, also those of files that are not finished yet."""
+        with self._account:
+            return self._lost + sum(map(_dropped, (*self._unfinished, self.file)))
 
     def settle(self) -> None:
         """Wait until the files that are done are finished, and old ones deleted."""
@@ -390,5 +402,9 @@ class Archive(BagWriter):
             raise DiskError(self.folder, f"has no metadata.yaml: {error.strerror}") from None
 
     def _toll(self, last: McapFile) -> str:
-        dropped = self._lost + sum(part.count for part in last.dropped)
-        return f"{dropped + last.unwritten} messages"
+        return f"{self._lost + _dropped(last) + last.unwritten} messages"
+
+
+def _dropped(file: McapFile) -> int:
+    """Count the messages that a file had no room for."""
+    return sum(part.count for part in file.dropped)
