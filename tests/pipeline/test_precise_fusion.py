@@ -12,6 +12,7 @@ from fusion_bench import FusionBench, Outputs, as_bytes, precise_positions, wate
 from deepseis_core.rotation import matrix_from_quat, rotvec_from_matrix
 from deepseis_core.types import DisplacementSource, FloatArray, PrecisePosition, PreciseStatus
 from deepseis_ins.fusion_config import FusionConfig
+from deepseis_ins.ground_motion import PreciseMotion
 
 RATE = 4_000_000
 STEP = (0.5, -0.3, 0.2)
@@ -123,6 +124,23 @@ def test_precise_positions_alone_are_published_as_they_are(
     assert len(t) == sum(item.sample_index <= 39.88 * RATE for item in precise)
     assert np.std(error, axis=0) == pytest.approx(NOISE, rel=0.35)
     assert sd[0] == pytest.approx(NOISE, rel=1e-6)
+
+
+def test_what_aided_loops_show_is_told_beside(precise: list[PrecisePosition]) -> None:
+    by_loops = {"loops_displacement_enu": np.array([0.1, 0.2, 0.3]), "loops_sd_enu": np.ones(3)}
+    motion = PreciseMotion()
+    both = [
+        shown
+        for item in precise[:3]
+        for shown in motion.take(replace(item, **by_loops), item.sample_index)  # type: ignore[arg-type]
+    ]
+    assert [m.source for m in both] == 3 * [DisplacementSource.GNSS, DisplacementSource.AIDED]
+    assert both[1].displacement.tolist() == [[0.1, 0.2, 0.3]]
+    assert both[1].displacement_sd.tolist() == [[1.0, 1.0, 1.0]]
+    assert {m.interval for m in both} == {both[0].interval}
+    lone = PreciseMotion()
+    shown = [m.source for item in precise[:3] for m in lone.take(item, item.sample_index)]
+    assert shown == 3 * [DisplacementSource.GNSS]
 
 
 def without(precise: Sequence[PrecisePosition], begin: float, end: float) -> list[PrecisePosition]:

@@ -411,3 +411,20 @@ def test_a_rest_with_a_hole_is_gathered_anew():
     again = told(back, settle + 1.0, 0.501)
     assert again.index(True) * 0.02 == pytest.approx(settle, abs=0.05)
     assert reference.position[0] == pytest.approx(0.501, abs=1e-9)
+
+
+def test_the_loops_own_phases_give_a_displacement_beside_with_the_same_biases():
+    """Held 5 mm north, say, by aiding that lags; noise of 8 Hz in place of 25."""
+    config = PhaseConfig(loop_bandwidth_hz=25.0, own_bandwidth_hz=8.0, phase_floor_sd=0.0, **FREE)
+    phases = Phases(config, motion=circle(60.0), noise=0.0)
+    solver = filter_of(config)
+    phases.run(solver, 60.0, True)
+    epoch = phases.epoch()
+    north = np.array([0.0, 0.005, 0.0])
+    solution = solver.solve(replace(epoch, held=epoch.design[:, :3] @ north), False)
+    moved, sd = solution.by_loops
+    assert_allclose(moved, solution.displacement + north, atol=1e-9)
+    both = np.sqrt(np.diag(solution.covariance)[:3]), np.sqrt(np.diag(solution.common)[:3])
+    assert (both[1] < sd).all()
+    assert_allclose(sd**2 - both[1] ** 2, (both[0] ** 2 - both[1] ** 2) * 8.0 / 25.0, rtol=1e-6)
+    assert solver.solve(phases.epoch(), False).by_loops is None

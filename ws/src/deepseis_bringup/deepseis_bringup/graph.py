@@ -180,6 +180,7 @@ def precise_parameters(config: GraphConfig) -> dict[str, Any]:
         integration_ms = float(tracker.get("integration_ms", 20))
         return {
             "loop_bandwidth_hz": 500.0 / integration_ms,
+            "own_bandwidth_hz": bandwidth_hz,
             "wait_motion": True,
             "add_discriminator": True,
             **_witness(config),

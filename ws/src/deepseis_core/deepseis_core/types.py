@@ -199,6 +199,10 @@ def _no_covariance() -> FloatArray:
     return np.zeros(9)
 
 
+def _no_vector() -> FloatArray:
+    return np.full(3, np.nan)
+
+
 @dataclass(frozen=True)
 class Pvt:
     """Position, velocity and clock of one epoch, ECEF; residuals aligned on ``satellites``."""
@@ -243,6 +247,7 @@ class PrecisePosition:
     ``displacement_enu`` [m] is from the surveyed place, east, north, up there;
     ``common_covariance_enu`` is the part of its covariance that neighbouring epochs share. With a
     ``datum`` other than 0 it is from a place that is not known, the same for all of that datum.
+    ``loops_displacement_enu`` is by the loops' own phases, where the former is by others.
     """
 
     sample_index: int
@@ -262,6 +267,8 @@ class PrecisePosition:
     ratio: float = float("nan")
     base_age: float = float("nan")
     datum: int = 0
+    loops_displacement_enu: FloatArray = field(default_factory=_no_vector)
+    loops_sd_enu: FloatArray = field(default_factory=_no_vector)
 
 
 class DisplacementSource(IntEnum):

@@ -162,27 +162,39 @@ class PreciseMotion:
         if not np.isfinite(self._step):
             return []
         due, self._unspaced = self._unspaced, []
-        return [of_precise(item, valid_through, self._step) for item in due]
+        return [shown for item in due for shown in of_precise(item, valid_through, self._step)]
 
 
-def of_precise(position: PrecisePosition, valid_through: int, interval: float) -> Displacement:
-    """Return the motion that one precise position shows; it knows no velocity."""
-    unknown = np.full((1, 3), np.nan)
+def of_precise(
+    position: PrecisePosition, valid_through: int, interval: float
+) -> list[Displacement]:
+    """Return the motions that one precise position shows; it knows no velocity.
+
+    By GNSS alone; and by the loops' own phases, where those are aided and not the former's.
+    """
     covariance = np.reshape(position.covariance_enu, (3, 3))
-    return Displacement(
-        source=int(DisplacementSource.GNSS),
-        smoothed=False,
-        valid_through=valid_through,
-        interval=interval,
-        tow_ns=np.array([position.tow_ns], np.int64),
-        week=position.week,
-        displacement=np.reshape(position.displacement_enu, (1, 3)),
-        velocity=unknown,
-        acceleration=unknown,
-        displacement_sd=np.sqrt(np.diag(covariance))[None].astype(np.float32),
-        velocity_sd=unknown.astype(np.float32),
-        acceleration_sd=unknown.astype(np.float32),
-    )
+    found = [(DisplacementSource.GNSS, position.displacement_enu, np.sqrt(np.diag(covariance)))]
+    if np.isfinite(position.loops_displacement_enu).all():
+        by_loops = position.loops_displacement_enu, position.loops_sd_enu
+        found.append((DisplacementSource.AIDED, *by_loops))
+    unknown = np.full((1, 3), np.nan)
+    return [
+        Displacement(
+            source=int(source),
+            smoothed=False,
+            valid_through=valid_through,
+            interval=interval,
+            tow_ns=np.array([position.tow_ns], np.int64),
+            week=position.week,
+            displacement=np.reshape(displacement, (1, 3)),
+            velocity=unknown,
+            acceleration=unknown,
+            displacement_sd=np.reshape(sd, (1, 3)).astype(np.float32),
+            velocity_sd=unknown.astype(np.float32),
+            acceleration_sd=unknown.astype(np.float32),
+        )
+        for source, displacement, sd in found
+    ]
 
 
 def displacement_utc_ns(motion: Displacement) -> int:

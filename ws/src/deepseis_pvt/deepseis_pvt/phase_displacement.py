@@ -354,7 +354,22 @@ class PhaseDisplacement:
             refused=refused,
             calibrated=self.calibrated >= self.config.calibration_s,
             datum=self.datum,
+            by_loops=self._by_loops(epoch, found, common, variance),
         )
+
+    def _by_loops(
+        self, epoch: PhaseEpoch, found: _Fit, common: FloatArray, variance: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """Return the displacement by the loops' own phases, and its sigmas [m].
+
+        Biases are the same; noise is that of the loops' bandwidth.
+        """
+        if epoch.held is None:
+            return None
+        c = self.config
+        moved = found.x[:CLOCK] + found.G[:CLOCK] @ epoch.held[found.rows]
+        noise = variance[:CLOCK] * min(1.0, c.own_bandwidth_hz / c.loop_bandwidth_hz)
+        return moved, np.sqrt(np.diag(common)[:CLOCK] + noise)
 
     def _stress(self, epoch: PhaseEpoch, found: _Fit) -> FloatArray:
         """Return the covariance of what the loops make the displacement lag behind [m^2].

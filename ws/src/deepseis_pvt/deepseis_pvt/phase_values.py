@@ -31,6 +31,9 @@ class PhaseConfig(DoubtConfig):
     loop_bandwidth_hz: float = setting(
         8.0, "noise bandwidth of the carrier loops: noise by C/N0, white below it [Hz]", low=0.1
     )
+    own_bandwidth_hz: float = setting(
+        8.0, "of the loops themselves, where each integration's own phase is used [Hz]", low=0.1
+    )
     fallback_bandwidth_hz: float = setting(
         FALLBACK_BANDWIDTH_HZ,
         "the same where a loop runs without the aiding that it ought to have [Hz]",
@@ -79,7 +82,8 @@ class PhaseEpoch:
     codes' residuals: where the clock begins. ``lag`` is what discriminators say that the phases
     lag behind, and its open-loop sigma [m]; None: nothing. ``alone`` are loops that lack the
     aiding that they ought to have, and are wider, ``early`` those that do not know the data bits'
-    edges yet, and integrate for 1 ms; None: none.
+    edges yet, and integrate for 1 ms; None: none. ``held`` is what the loops' own phases are ahead
+    of ``residual`` [m]; None: that is by these.
     """
 
     time: float
@@ -95,6 +99,7 @@ class PhaseEpoch:
     lag: tuple[FloatArray, FloatArray] | None = None
     alone: NDArray[np.bool_] | None = None
     early: NDArray[np.bool_] | None = None
+    held: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -104,6 +109,7 @@ class PhaseSolution:
     ``covariance`` is of both, ``common`` the part of it that stays the same for many epochs
     (biases and the reference, not noise). ``used`` are the satellites of the solution,
     ``refused`` those whose phases the others contradict. ``datum`` 0: from the surveyed place.
+    ``by_loops`` are the displacement by the loops' own phases and its sigmas, where it is another.
     """
 
     displacement: FloatArray
@@ -116,3 +122,4 @@ class PhaseSolution:
     refused: NDArray[np.bool_]
     calibrated: bool
     datum: int = 0
+    by_loops: tuple[FloatArray, FloatArray] | None = None

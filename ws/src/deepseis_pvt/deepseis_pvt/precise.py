@@ -246,6 +246,7 @@ class PhasePositions:
             code_less_phase=o.pseudorange[rows] - o.carrier_phase_cycles[rows] * L1_WAVELENGTH,
             alone=alone,
             early=(o.flags[rows] & TrackingFlag.BIT_SYNC) == 0,
+            held=self._held(o, rows, alone),
         )
         return epoch, [o.satellites[row] for row in rows]
 
@@ -257,6 +258,12 @@ class PhasePositions:
         if not self.config.add_discriminator:
             return error, sd
         return (np.where(alone, error, 0.0), np.where(alone, sd, 0.0)) if alone.any() else None
+
+    def _held(
+        self, o: Observations, rows: list[int], alone: NDArray[np.bool_]
+    ) -> FloatArray | None:
+        """Return what the loops' own phases are ahead of those that are used [m]."""
+        return np.where(alone, 0.0, -lag_of(o, rows)[0]) if self.config.add_discriminator else None
 
 
 def lag_of(o: Observations, rows: list[int]) -> tuple[FloatArray, FloatArray]:
@@ -322,6 +329,7 @@ def position_of(
     o, used = observations, solution.used
     placed = solution.calibrated and solution.datum == 0
     status = PreciseStatus.PHASE if placed else PreciseStatus.CALIBRATING
+    own, own_sd = solution.by_loops or (np.full(3, np.nan), np.full(3, np.nan))
     return PrecisePosition(
         sample_index=o.sample_index,
         week=o.week,
@@ -338,4 +346,6 @@ def position_of(
         phase_residual=solution.residual[used].astype(np.float32),
         rejected=tuple(name for name, use in zip(names, used, strict=True) if not use),
         datum=solution.datum,
+        loops_displacement_enu=own,
+        loops_sd_enu=own_sd,
     )

@@ -121,7 +121,9 @@ class LiveModel:
         if motion.smoothed or not len(motion.tow_ns):
             return
         times = self._seconds(motion.week, motion.tow_ns)
-        if motion.source != DisplacementSource.FUSED:
+        if motion.source == DisplacementSource.AIDED:
+            return
+        if motion.source == DisplacementSource.GNSS:
             self.traces["gnss"].push(times, _vectors(motion.displacement), motion.interval)
             return
         self._hear("motion")
