@@ -14,10 +14,3 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"real recordings are not part of the project: no {folder}")
     return folder
-
-
-def pytest_terminal_summary(terminalreporter):
-    """Show what a test failed with that ran once more: passing then is no excuse."""
-    for report in terminalreporter.getreports("rerun"):
-        terminalreporter.section(f"first try of {report.nodeid}", red=True)
-        terminalreporter.write_line(report.longreprtext)

@@ -164,9 +164,15 @@ def test_every_satellite_is_observed_again_with_a_mark(faults):
     outages, _, payloads = faults
     gone = outages["trackers"]
     epochs = [codecs.OBSERVATIONS.decode(data)[0] for data in payloads["gnss/observations"]]
+    # Not from when its first word was noticed: its first samples may have come before that.
+    seen = np.array([e.sample_index for e in epochs if e.satellites]) / RATE_HZ
+    seen = seen[seen > gone.died - 2.0]
+    hole = np.argmax(np.diff(seen))
+    assert abs(seen[hole] - gone.died) < 1.0
+    assert seen[hole + 1] < gone.back + 2.0
     first = {}
     for epoch in epochs:
-        if epoch.sample_index > (gone.back - 0.1) * RATE_HZ:
+        if epoch.sample_index > (seen[hole] + 0.01) * RATE_HZ:
             for name, lli in zip(epoch.satellites, epoch.lli, strict=True):
                 first.setdefault(name, lli)
     assert len(first) == 9

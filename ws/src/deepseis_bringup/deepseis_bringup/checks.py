@@ -94,6 +94,9 @@ def _run(name: str, command: list[str]) -> bool:
     return not failed
 
 
+TESTS_FAILED = 1
+"""Exit status of pytest."""
+
 ALONE = "launch or benchmark"
 """Markers of tests that need the machine to themselves: clocks, and processes of their own."""
 
@@ -102,23 +105,30 @@ def test(arguments: list[str], *, full: bool, skip_check: bool) -> int:
     """Run the checks, then pytest; return the exit status.
 
     All tests run on two processes, a module's on the same, but for those that need the machine to
-    themselves; of these one that fails runs once more, and the summary tells what it failed with.
-    What is chosen by arguments runs in one process, once.
+    themselves; of these what fails runs once more, from its fixtures on. What is chosen by
+    arguments runs in one process, once.
     """
     passed = skip_check or check()
     speed = "" if full else "not slow"
     if arguments:
-        runs = [["-m", speed, *arguments] if speed else arguments]
+        statuses = [_pytest(["-m", speed, *arguments] if speed else arguments)]
     else:
-        beside = ["-n", "2", "--dist", "loadscope", "-m"]
         rest = f" and {speed}" if speed else ""
-        alone = ["--reruns", "1", "-rR", "-m", f"({ALONE}){rest}"]
-        runs = [[*beside, f"not ({ALONE}){rest}"], alone]
-    sys.stdout.flush()
-    statuses = [
-        subprocess.run(
-            [sys.executable, "-m", "pytest", *run], cwd=project_root(), env=environment()
-        ).returncode
-        for run in runs
-    ]
+        beside = ["-n", "2", "--dist", "loadscope", "-m", f"not ({ALONE}){rest}"]
+        statuses = [_pytest(beside), _twice(["-m", f"({ALONE}){rest}"])]
     return max(statuses, key=abs) or (0 if passed else 1)
+
+
+def _twice(arguments: list[str]) -> int:
+    """Run tests; those that fail once more, after what they failed with has been shown."""
+    status = _pytest(arguments)
+    if status != TESTS_FAILED:
+        return status
+    typer.echo("A SECOND TRY of what failed above (docs/decisions/0029): read it all the same")
+    return _pytest(["--last-failed", "--last-failed-no-failures", "none", *arguments])
+
+
+def _pytest(arguments: list[str]) -> int:
+    sys.stdout.flush()
+    command = [sys.executable, "-m", "pytest", *arguments]
+    return subprocess.run(command, cwd=project_root(), env=environment()).returncode
