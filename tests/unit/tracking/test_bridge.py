@@ -1,6 +1,9 @@
 """Loops go on behind a gap of samples: code and time are known there, the phase is found anew."""
 
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -123,3 +126,24 @@ def test_a_satellite_found_again_knows_its_time_if_the_code_is_where_it_should_b
     state = channel.state
     assert (state["transmit_ms"] - state["period_count"] + state["bit_offset"]) % 20 == 0
     assert channel.mode == TrackingMode.TRACK, "0.35 s: no bit synchronisation anew"
+
+
+REHEARSED = """
+from unit.tracking.one_signal import Signal, circle
+from unit.tracking.test_bridge import FIRST, run
+from deepseis_tracking import channel_kernel, nco
+from deepseis_tracking.channel import TrackingConfig
+from deepseis_tracking.engine import SlotConfig, TrackingEngine
+kernels = channel_kernel.bridge, nco.aid_at, nco.aid_growth
+TrackingEngine(["G07"], TrackingConfig(), SlotConfig()).compile()
+before = [set(kernel.signatures) for kernel in kernels]
+assert all(before), before
+assert run(Signal(46.0, motion=circle), 0.3, FIRST + 0.4)[2]
+assert [set(kernel.signatures) for kernel in kernels] == before
+"""
+
+
+def test_nothing_is_compiled_at_the_first_gap():
+    """In a process of its own: here all has been compiled already."""
+    tests = Path(__file__).parents[2]
+    subprocess.run([sys.executable, "-c", REHEARSED], check=True, timeout=120, cwd=tests)

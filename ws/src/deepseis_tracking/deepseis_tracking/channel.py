@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +27,8 @@ from deepseis_tracking.channel_state import CONFIG, EPOCH, EPOCH_FIELDS, STATE
 from deepseis_tracking.loop_filter import LoopGains, design_loop
 from deepseis_tracking.nco import aid_at
 from deepseis_tracking.replica import ReplicaBank
+from deepseis_tracking.sent_time import MS_PER_WEEK, SentTime
 
-MS_PER_WEEK = 604_800_000
-RECALL_S = 60.0
-"""Of a satellite that is found again so soon it is known when its signal was sent [s]."""
-RECALL_MS = 0.1
-"""... if its code lies where it should by then, to so much [ms]."""
 IDLE = int(TrackingMode.IDLE)
 _KEPT = (
     *("carrier_phase", "pending_flags", "noise"),
@@ -119,14 +114,6 @@ class TrackingConfig:
     )
 
 
-class _Sent(NamedTuple):
-    """A code period's first sample, its code phase there [chips], when it was sent [ms]."""
-
-    sample_index: int
-    code_phase: float
-    transmit_ms: int
-
-
 class Channel:
     """One satellite from hand-over to observables.
 
@@ -177,7 +164,7 @@ class Channel:
         self.polarity_turns = 0
         self.lost = 0
         self.just_dropped = False
-        self._sent: _Sent | None = None
+        self._sent: SentTime | None = None
         self._found_again = False
 
     def _numbers(self) -> NDArray[np.void]:
@@ -261,29 +248,14 @@ class Channel:
         state = self.state
         now, code_phase = int(state["next_sample"]), float(state["code_phase"])
         if self.mode >= TrackingMode.TRACK and state["phase_lock"] and state["transmit_ms"] >= 0:
-            self._sent = _Sent(now, code_phase, int(state["transmit_ms"]))
-        elif self._found_again and self.mode >= TrackingMode.BIT_SYNC:
+            self._sent = SentTime(now, code_phase, int(state["transmit_ms"]))
+        elif self._found_again and self._sent and self.mode >= TrackingMode.BIT_SYNC:
             self._found_again = False
-            sent_ms = self._recall(now, code_phase, float(state["nco_hz"]))
+            doppler_hz = float(state["nco_hz"])
+            sent_ms = self._sent.recall(now, code_phase, doppler_hz, self.sample_rate_hz)
             if sent_ms >= 0:
                 state["transmit_ms"] = sent_ms
                 state["bit_offset"] = (state["period_count"] - sent_ms) % 20
-
-    def _recall(self, sample_index: int, code_phase: float, doppler_hz: float) -> int:
-        """Return when a code period was sent [ms of week], of a satellite lost not long ago.
-
-        A constant Doppler of 20 Hz too much is 0.8 chips after a minute; a period is 1023. What
-        does not agree to `RECALL_MS` is something else; -1.
-        """
-        assert self._sent is not None
-        elapsed = (sample_index - self._sent.sample_index) / self.sample_rate_hz
-        if not 0.0 <= elapsed <= RECALL_S:
-            return -1
-        parts = (self._sent.code_phase - code_phase) / CA_LENGTH
-        periods = parts + 1e3 * elapsed * (1.0 + doppler_hz / L1_HZ)
-        if abs(periods - round(periods)) > RECALL_MS:
-            return -1
-        return (self._sent.transmit_ms + round(periods)) % MS_PER_WEEK
 
     def bridge(self, sample_index: int) -> bool:
         """Go on behind missing samples, where it is known well enough where the signal is there.
@@ -311,6 +283,14 @@ class Channel:
             doppler_hz += float(state["clock_hz"])
         channel_kernel.bridge(self.states, self.configs, sample_index, doppler_hz)
         return True
+
+    def rehearse(self) -> None:
+        """Compile, or load, what a gap of samples needs, and a satellite that is found again."""
+        aiding, state = self.aiding, self.state
+        aiding.knots, aiding.rates = np.zeros(1), np.zeros(1)
+        aiding.growth(0, 1)
+        state["mode"], state["transmit_ms"] = TrackingMode.TRACK_AIDED, 0
+        self.bridge(0)
 
     def drop(self, flag: TrackingFlag) -> None:
         """Give the signal up, e.g. because samples are missing."""

@@ -128,6 +128,7 @@ class TrackingEngine:
         blank = np.zeros(64, np.int8)
         window.push(blank, blank, 0)
         channel.advance(window, 0, 0)
+        channel.rehearse()
 
     def join(self, sample: int, sample_rate_hz: float) -> None:
         """Begin at a sample of a running graph: all channels are idle, and say so.
