@@ -28,6 +28,8 @@ from deepseis_core.hidden_motion import LEAST_HIDDEN
 from deepseis_core.types import FloatArray, IntArray
 from deepseis_pvt import phase_kernels as kernels
 from deepseis_pvt.creep_level import CreepLevel
+from deepseis_pvt.loop_lag import LoopLag
+from deepseis_pvt.phase_fit import Fit
 from deepseis_pvt.phase_search import SlipSearch
 from deepseis_pvt.phase_values import PhaseConfig, PhaseEpoch, PhaseSolution
 from deepseis_pvt.rest_memory import STEP_S, RestMemory, hold
@@ -43,12 +45,6 @@ FEWEST_AFLOAT: Final = 5
 """Satellites whose phases go on together from a place that is not known."""
 LONGEST_GAP: Final = 60.0
 """A satellite that has been away for longer begins anew [s]."""
-STRESS_MEMORY: Final = 0.3
-"""Over which lags are averaged [s]."""
-NOISE_SHOWN: Final = 1.6
-"""Variance of a discriminator in a loop of 15 Hz and 20 ms, over that in open loop [-]."""
-STRESS_LIMIT: Final = 2.5
-"""Lags of a variance beyond so many times that of noise are lags [-]."""
 
 
 @dataclass(frozen=True)
@@ -64,24 +60,6 @@ class Biases:
     creep: tuple[FloatArray, float, float]
     epoch: PhaseEpoch
     noise: FloatArray
-
-
-@dataclass
-class _Fit:
-    """What `phase_kernels.fit` found for some satellites of an epoch."""
-
-    rows: IntArray
-    x: FloatArray
-    C: FloatArray
-    G: FloatArray
-    residual: FloatArray
-    normalised: FloatArray
-    chi_square: float
-
-    @property
-    def freedom(self) -> int:
-        """Degrees of freedom."""
-        return len(self.rows) - len(self.x)
 
 
 class PhaseDisplacement:
@@ -129,10 +107,10 @@ class PhaseDisplacement:
         self._seen: FloatArray = np.full(SLOTS, -np.inf)
         self._broken: NDArray[np.bool_] = np.zeros(SLOTS, np.bool_)
         self._time: float | None = None
-        self._lag: FloatArray = np.zeros((3, 3))
+        self._lag = LoopLag()
         self.stress: FloatArray = np.zeros((3, 3))
         self._limits = [float(chdtri(n, c.phase_false_alarm)) for n in range(1, SLOTS + 1)]
-        self._together = SlipSearch[_Fit](lambda found: found.chi_square)
+        self._together = SlipSearch[Fit](lambda found: found.chi_square)
         self.datum = 0
         self.counts = {"slips_found": 0, "arcs": 0, "contradictions": 0, "doubted": 0, "afloat": 0}
 
@@ -185,7 +163,7 @@ class PhaseDisplacement:
         elif free is None and not self.at_rest and self._can_go_on(epoch):
             self.counts["afloat"] += 1
             good, self.datum = self._all_anew(epoch), self.counts["afloat"]
-            free = self._datum(epoch, CLOCK + 1)
+            free = Fit.at_beginning(epoch, CLOCK + 1)
         self._calibrate(epoch, innovation, noise, good, free, self.at_rest)
         self._watch_creep(epoch, model, ~good)
         self.calibrated += dt if self.at_rest and self.members.size >= CLOCK + 1 else 0.0
@@ -276,10 +254,10 @@ class PhaseDisplacement:
     def _fit(
         self, epoch: PhaseEpoch, y: FloatArray, noise: FloatArray, good: NDArray[np.bool_],
         design: FloatArray,
-    ) -> _Fit | None:  # fmt: skip
+    ) -> Fit | None:  # fmt: skip
         rows = np.flatnonzero(good)
         m, p = len(rows), design.shape[1]
-        found = _Fit(
+        found = Fit(
             rows, np.empty(p), np.empty((p, p)), np.empty((p, m)), np.empty(m), np.empty(m), -1.0
         )
         if m < p:
@@ -292,7 +270,7 @@ class PhaseDisplacement:
 
     def _free(
         self, epoch: PhaseEpoch, y: FloatArray, noise: FloatArray, known: NDArray[np.bool_]
-    ) -> tuple[_Fit | None, NDArray[np.bool_]]:
+    ) -> tuple[Fit | None, NDArray[np.bool_]]:
         """Solve for displacement and clock, without the satellites that the others contradict."""
         refused = np.zeros(len(known), np.bool_)
         found = self._fit(epoch, y, noise, known, epoch.design)
@@ -316,27 +294,30 @@ class PhaseDisplacement:
         self.counts["slips_found"] += int(refused.sum())
         return found, refused
 
-    def _agreeing(self, found: _Fit | None) -> _Fit | None:
+    def _agreeing(self, found: Fit | None) -> Fit | None:
         return found if found is not None and found.freedom > 1 and self._passes(found) else None
 
-    def _passes(self, found: _Fit) -> bool:
+    def _passes(self, found: Fit) -> bool:
         return found.freedom == 0 or found.chi_square <= self._limits[found.freedom - 1]
 
-    def _learn_noise(self, found: _Fit, interval: float) -> None:
+    def _learn_noise(self, found: Fit, interval: float) -> None:
         """Follow the level of noise that the residuals show: motion is not in them."""
         shown = min(found.chi_square / found.freedom, 9.0) * self.noise_level
         weight = min(1.0, interval / self.config.noise_memory_s)
         self.noise_level = max(1.0, self.noise_level + weight * (shown - self.noise_level))
 
     def _solution(
-        self, epoch: PhaseEpoch, found: _Fit, refused: NDArray[np.bool_], noise: FloatArray
+        self, epoch: PhaseEpoch, found: Fit, refused: NDArray[np.bool_], noise: FloatArray
     ) -> PhaseSolution:
         covariance = found.C.copy()
         if not self._passes(found):
             covariance *= found.chi_square / found.freedom
         variance = (found.G**2) @ noise[found.rows]
         common = covariance - (found.G * noise[found.rows]) @ found.G.T
-        self.stress = self._stress(epoch, found)
+        self.stress = np.zeros((3, 3))
+        if epoch.lag is not None:
+            error, sd = (values[found.rows] for values in epoch.lag)
+            self.stress = self._lag.push(error, sd, found.G[:CLOCK], epoch.interval)
         common[:3, :3] += self.reference.covariance
         covariance[:3, :3] += self.reference.covariance + self.stress
         residual = np.full(len(refused), np.nan)
@@ -358,7 +339,7 @@ class PhaseDisplacement:
         )
 
     def _by_loops(
-        self, epoch: PhaseEpoch, found: _Fit, common: FloatArray, variance: FloatArray
+        self, epoch: PhaseEpoch, found: Fit, common: FloatArray, variance: FloatArray
     ) -> tuple[FloatArray, FloatArray] | None:
         """Return the displacement by the loops' own phases, and its sigmas [m].
 
@@ -371,28 +352,9 @@ class PhaseDisplacement:
         noise = variance[:CLOCK] * min(1.0, c.own_bandwidth_hz / c.loop_bandwidth_hz)
         return moved, np.sqrt(np.diag(common)[:CLOCK] + noise)
 
-    def _stress(self, epoch: PhaseEpoch, found: _Fit) -> FloatArray:
-        """Return the covariance of what the loops make the displacement lag behind [m^2].
-
-        All satellites' phases lag alike, so residuals do not show it. Discriminators do: solved as
-        phases are, they give the lag, with the noise of an integration.
-        """
-        if epoch.lag is None:
-            return np.zeros((3, 3))
-        error, sd = epoch.lag
-        G = found.G[:CLOCK]
-        lag = G @ error[found.rows]
-        noise = NOISE_SHOWN * float(((G * sd[found.rows]) ** 2).sum())
-        weight = min(1.0, epoch.interval / STRESS_MEMORY)
-        self._lag = self._lag + weight * (np.outer(lag, lag) - self._lag)
-        shown = float(np.trace(self._lag))
-        if shown <= STRESS_LIMIT * noise or noise == 0.0:
-            return np.zeros((3, 3))
-        return self._lag * (1.0 - noise / shown)
-
     def _calibrate(
         self, epoch: PhaseEpoch, y: FloatArray, noise: FloatArray, good: NDArray[np.bool_],
-        free: _Fit | None, still: bool,
+        free: Fit | None, still: bool,
     ) -> None:  # fmt: skip
         """Let biases learn, and give satellites that begin an arc theirs."""
         found, design = free, epoch.design
@@ -402,10 +364,10 @@ class PhaseDisplacement:
             offset = epoch.design[:, :CLOCK] @ self.reference.position
             found = self._fit(epoch, y - offset, noise, good, design)
             if found is None:
-                found, self.calibrated = self._datum(epoch, 1), 0.0
+                found, self.calibrated = Fit.at_beginning(epoch, 1), 0.0
         if found is None:
             return
-        starts = ~good & self._settled(epoch) if self.datum else ~good
+        starts = ~good & epoch.settled(self.config.datum_lock_s) if self.datum else ~good
         rows, fresh = found.rows, np.flatnonzero(starts)
         slow = noise * self._shared(epoch)
         started = self._start(epoch, found, fresh, design, offset, slow)
@@ -423,14 +385,10 @@ class PhaseDisplacement:
         Displacements then go on from wherever the antenna is: who knows that, as an INS does for
         some seconds, has millimetres again.
         """
-        return self.reference.moved and int(self._settled(epoch).sum()) >= FEWEST_AFLOAT
-
-    def _settled(self, epoch: PhaseEpoch) -> NDArray[np.bool_]:
-        """Tell whose loops have locked for a while, know their bits, and do not lack aiding."""
-        settled = ~epoch.slipped & (epoch.lock_time >= self.config.datum_lock_s)
-        for unsettled in (epoch.alone, epoch.early):
-            settled &= True if unsettled is None else ~unsettled
-        return settled
+        return (
+            self.reference.moved
+            and int(epoch.settled(self.config.datum_lock_s).sum()) >= FEWEST_AFLOAT
+        )
 
     def _all_anew(self, epoch: PhaseEpoch) -> NDArray[np.bool_]:
         """Let no bias hold any more; return which satellites of the epoch are known: none."""
@@ -438,21 +396,8 @@ class PhaseDisplacement:
             self._forget(slot)
         return np.zeros(len(epoch.slot), np.bool_)
 
-    def _datum(self, epoch: PhaseEpoch, unknowns: int) -> _Fit:
-        """Begin: the clock is what the codes say; only its changes mean anything.
-
-        Of four unknowns the others are zero: displacements are from where the antenna is now.
-        """
-        none = np.zeros(0)
-        x = np.zeros(unknowns)
-        x[-1] = np.median(epoch.residual + epoch.code_less_phase) if len(epoch.slot) else 0.0
-        return _Fit(
-            none.astype(np.int64), x, np.zeros((unknowns, unknowns)), np.zeros((unknowns, 0)),
-            none, none, 0.0,
-        )  # fmt: skip
-
     def _start(
-        self, epoch: PhaseEpoch, found: _Fit, fresh: IntArray, design: FloatArray,
+        self, epoch: PhaseEpoch, found: Fit, fresh: IntArray, design: FloatArray,
         offset: FloatArray, noise: FloatArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
         """Work out biases that begin at this epoch, and their covariances."""

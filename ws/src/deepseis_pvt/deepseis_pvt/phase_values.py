@@ -101,6 +101,13 @@ class PhaseEpoch:
     early: NDArray[np.bool_] | None = None
     held: FloatArray | None = None
 
+    def settled(self, lock_s: float) -> NDArray[np.bool_]:
+        """Tell whose loops have locked so long, know their bits, and do not lack aiding."""
+        settled = ~self.slipped & (self.lock_time >= lock_s)
+        for unsettled in (self.alone, self.early):
+            settled &= True if unsettled is None else ~unsettled
+        return settled
+
 
 @dataclass(frozen=True)
 class PhaseSolution:
